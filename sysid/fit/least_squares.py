@@ -14,10 +14,10 @@ The finisher therefore begins with the first part of every trial's window and le
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.fit.objective import Objective
 from sysid.fit.stopping import StopReason
 from sysid.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from sysid.fit.problem import Block
 
 # Damping that is tried in every step, as multiples of a front's present damping.
 _FACTORS = (0.1, 1.0, 10.0)
@@ -349,7 +352,7 @@ class LeastSquares(Breeder):
     @property
     def ended(self) -> StopReason:
         """Why there is nothing to ask for: the walk has ended, or more is left than noise explains."""
-        floor = sum(block.weight * block.noise for block in self._objective.blocks)
+        floor = noise_floor(self._objective.blocks)
         return "converged" if np.exp(self._fronts.cost.min() / 2) <= EXPLAINED * floor else "unexplained"
 
     def start(self) -> Start:
@@ -358,6 +361,11 @@ class LeastSquares(Breeder):
         curvature, axes = np.linalg.eigh(self._fronts.curvature[best])
         lengths = np.sqrt(2 * _AXIS_COST / np.maximum(curvature, 1e-30))
         return Start(self._fronts.points[best], np.minimum(lengths, _AXIS_LENGTH), axes)
+
+
+def noise_floor(blocks: Sequence[Block]) -> float:
+    """Return the mean NRMSE that noise alone costs [1]."""
+    return sum(block.weight * block.noise for block in blocks)
 
 
 def _distinct(cube: FloatArray, count: int) -> FloatArray:

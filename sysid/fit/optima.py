@@ -63,6 +63,8 @@ class Agreement:
         Why a run was cut short; None for a run that ended by itself. Where a run was cut is no optimum.
     asked : int
         Runs that the fit was to have, including those that were not begun [1].
+    floor : float, optional
+        NRMSE that noise alone costs [1]; sentences state it beside the NRMSE.
     """
 
     order: tuple[int, ...]
@@ -70,6 +72,7 @@ class Agreement:
     cost: FloatArray
     cut: tuple[StopReason | None, ...]
     asked: int
+    floor: float | None = None
 
     @property
     def unfinished(self) -> bool:
@@ -94,7 +97,7 @@ class Agreement:
         if runs == 1:
             return "a single run cannot say whether its optimum is the best one; ask for more with --runs 5"
         if self.agrees:
-            return f"{runs} of {runs} runs reached the same optimum (NRMSE {100 * best:.3f} %)"
+            return f"{runs} of {runs} runs reached the same optimum ({self._scored(best)})"
         others = self.cost[self.optimum != 0]
         places = int(self.optimum.max())
         word = "place" if places == 1 else "places"
@@ -106,11 +109,14 @@ class Agreement:
             )
         alone = " alone" if self.reached == 1 else ""
         return (
-            f"the runs disagree: {self.reached} of {runs}{alone} reached the best optimum (NRMSE "
-            f"{100 * best:.3f} %), the others end at {others.min() / best:.3f} to "
+            f"the runs disagree: {self.reached} of {runs}{alone} reached the best optimum "
+            f"({self._scored(best)}), the others end at {others.min() / best:.3f} to "
             f"{others.max() / best:.3f} × it in {places} other {word}: sets beyond the best optimum are "
             "local ones; ask for more runs with --runs 20"
         )
+
+    def _scored(self, nrmse: float) -> str:
+        return beside_noise(f"{100 * nrmse:.3f} %", self.floor)
 
     def _unfinished(self, runs: int, best: float) -> str:
         reasons = ", ".join(dict.fromkeys(REASONS[reason] for reason in self.cut if reason))
@@ -120,13 +126,13 @@ class Agreement:
             whole = "none" if cut == runs else "all" if not cut else str(runs - cut)
             text = (
                 f"{runs} of {self.asked} runs {'was' if runs == 1 else 'were'} begun, {whole} of them "
-                f"finished{why}, which says nothing about optima yet; best NRMSE so far {100 * best:.3f} %"
+                f"finished{why}, which says nothing about optima yet; best so far: {self._scored(best)}"
             )
         else:
             text = (
                 f"{cut} of {runs} runs {'was' if cut == 1 else 'were'} not finished{why} and "
-                f"{'says' if cut == 1 else 'say'} nothing about optima yet; best NRMSE so far "
-                f"{100 * best:.3f} %"
+                f"{'says' if cut == 1 else 'say'} nothing about optima yet; best so far: "
+                f"{self._scored(best)}"
             )
         ended = self.cost[[not reason for reason in self.cut]]
         if len(ended):
@@ -137,12 +143,15 @@ class Agreement:
 
 
 def agreement(
-    runs: Sequence[RunHistory], asked: int | None = None, free: Sequence[Searched] = ()
+    runs: Sequence[RunHistory],
+    asked: int | None = None,
+    free: Sequence[Searched] = (),
+    floor: float | None = None,
 ) -> Agreement:
     """Group runs, at least one of the `asked` ones, by the optimum in which they ended.
 
     `free` are the parameters along the cube's axes; those that are `unfixed` do not tell optima apart.
-    Without `free` all axes count.
+    Without `free` all axes count. `floor` is the NRMSE that noise alone costs [1].
     """
     determined = ~unfixed(runs, free) if free else np.ones(runs[0].best_point.shape, dtype=bool)
     cost = np.array([run.best[-1] for run in runs])
@@ -162,7 +171,12 @@ def agreement(
             optimum[run] = len(first)
             first.append(int(run))
     cut = tuple(run.stop_reason if run.stop_reason in _CUT else None for run in runs)
-    return Agreement(tuple(int(i) for i in order), optimum, cost, cut, asked or len(runs))
+    return Agreement(tuple(int(i) for i in order), optimum, cost, cut, asked or len(runs), floor)
+
+
+def beside_noise(nrmse: str, floor: float | None) -> str:
+    """Return an NRMSE as people read it: beside what noise alone costs [1], where that is known."""
+    return f"NRMSE {nrmse}" + (f" (noise alone: {100 * floor:.2f} %)" if floor else "")
 
 
 def _width(run: RunHistory) -> FloatArray:

@@ -286,6 +286,10 @@ class Problem(ABC):
         """Return contacts (k,) [s] of a trial predicted by a row (n_table,) [SI]; None of a model without."""
         return None
 
+    def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
+        """Return from when on [s] a predicted trial is in which phase, in words that follow "most …"."""
+        return [(-np.inf, "throughout")]
+
     def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
         """Return what a validation adds to the scores of each trial, predicted by rows (S, n_table) [SI]."""
         return [{} for _ in self.trials]

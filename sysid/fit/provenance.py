@@ -8,6 +8,7 @@ from pydantic import with_config
 from typing_extensions import TypedDict
 
 from sysid.documents import CONFIG, Open, OpenMapping
+from sysid.fit.adequacy import Adequacy
 from sysid.fit.stopping import CutReason, Reading
 from sysid.parameter_sets import SetsDocument
 
@@ -79,6 +80,8 @@ class FitProvenance(TypedDict, total=False):
     failures: dict[str, int]
     # What was noticed, repeats over trials joined; the sentences of its warnings are `warnings`.
     findings: list[FindingRecord]
+    # How far noise explains what the fit leaves, and where the misfit sits.
+    adequacy: Adequacy
     # What the trials were expected to determine, per parameter.
     expected: list[Open]
 

@@ -151,7 +151,9 @@ class FitResult(SetsContent):
     @property
     def agreement(self) -> Agreement:
         """What the runs say about each other, runs that were asked for and not begun included."""
-        return agreement(self.runs, self.provenance.get("search", {}).get("runs"), self.searched)
+        asked = self.provenance.get("search", {}).get("runs")
+        floor = self.provenance.get("adequacy", {}).get("floor")
+        return agreement(self.runs, asked, self.searched, floor)
 
     @property
     def searched(self) -> tuple[ParameterRecord, ...]:

@@ -78,6 +78,7 @@ def summary(result: FitResult) -> str:
     lines = [
         f"{result.kind} fit {result.name}: {result.state}",
         "",
+        *([judged["sentence"], ""] if (judged := result.provenance.get("adequacy")) else []),
         f"NRMSE (rms error / {denominator} of the measurement), mean over channels and trials",
         "",
         f"{'rank':>4}  {'run':>3}  {'seed':>10}  {'fitted':>8}  {'validated':>9}",

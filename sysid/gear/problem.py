@@ -54,6 +54,9 @@ from sysid.types import BoolArray, FloatArray
 TRUST_TOLERANCE = 2e-5
 # Touchdowns of one foot closer than this count as one [s].
 _ONE_TOUCHDOWN = 5e-3
+# A body falls where forces other than its weight accelerate it less than this [m/s²]; it is at rest below
+# this speed [m/s] and pitch rate [rad/s].
+_FALLING, _AT_REST = 1.5, (0.1, 0.2)
 # Rows that are choices of the model rather than measurements.
 CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", *PARAMETERS.group("front leg"))
 # Motors do not run in a drop.
@@ -420,6 +423,28 @@ class GearProblem(Problem):
                     out.append(event.time)
                 last[event.foot] = event.time
         return drop.time[0] + np.array(out)
+
+    def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
+        """Return the fall, the contact until the body falls again, the bounces, and the rest.
+
+        From the signals as compared: the filter rounds the instants by some 10 ms.
+        """
+        drop = self.only([self.drops[trial].name])
+        time, down = self.drops[trial].time, self.drops[trial].touchdown
+        _, _, rate_x, rate_z, pitch = drop.signals(row[None])[0][0][0].T
+        force = np.hypot(np.gradient(rate_x, time), np.gradient(rate_z, time) + self.campaign.vehicle.gravity)
+        out = [(-np.inf, "before the first contact"), (down, "at the first contact")]
+        falls = np.flatnonzero((time > down + _ONE_TOUCHDOWN) & (force < _FALLING))
+        hit = np.flatnonzero((time > down) & (force > _FALLING))
+        falls = falls[falls > hit[0]] if len(hit) else falls[:0]
+        if len(falls):
+            out.append((float(time[falls[0]]), "between bounces"))
+        moving = np.hypot(rate_x, rate_z) > _AT_REST[0]
+        moving |= np.abs(np.gradient(pitch, time)) > _AT_REST[1]
+        last = int(np.max(np.flatnonzero(moving), initial=0))
+        if last + 1 < len(time) and time[last + 1] > out[-1][0]:
+            out.append((float(time[last + 1]), "at rest"))
+        return out
 
     def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
         """Return slope and resting place of every drop, over the sets and the starts' uncertainty.

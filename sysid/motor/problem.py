@@ -35,6 +35,8 @@ FIT_TOLERANCE = 1e-5
 # Simulated samples of a search that are in memory at once, per thread [bytes]: the allocator keeps blocks of
 # this size; for larger ones it asks the system for fresh pages every time, which costs more than simulating.
 _MEMORY = 4e6
+# How long a step is followed, several times a motor's time constant [s].
+_FOLLOWS = 0.3
 _INDEX = PARAMETERS.index
 
 
@@ -296,6 +298,16 @@ class MotorProblem(Problem):
         for block, level in zip(self.blocks, self.floors(row), strict=True):
             out[block.trial, block.channel] = level
         return out * self.cost.denominators
+
+    def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
+        """Return what follows each command for 0.3 s, and the rest."""
+        out = [(-np.inf, "at a constant command")]
+        times = self.prepared[trial].log.steps.time
+        for k, time in enumerate(times):
+            out.append((float(time), "after a command"))
+            if k + 1 == len(times) or times[k + 1] > time + _FOLLOWS:
+                out.append((float(time) + _FOLLOWS, "at a constant command"))
+        return out
 
     # --- what else a campaign says -------------------------------------------------------------
 

@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sysid.errors import ExportError
+from sysid.fit.adequacy import NOT_BY
 from sysid.fit.optima import unfixed
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import record_lines, run_record
@@ -56,7 +57,7 @@ from sysid.report.html import (
     side_by_side,
     unfoldable,
 )
-from sysid.report.set_tables import mean_sigma_table, ranked_table, trial_table
+from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
 from sysid.report.trust_tables import interval_table, narrow_table, validation_table, verdict_words
 from sysid.trust import documents
 from sysid.types import FloatArray
@@ -193,7 +194,7 @@ class FitReport:
 
     def sentences(self) -> list[str]:
         """Return the verdict: how well the sets fit and predict, and what the data determine."""
-        out = [self._fitted(), *self._predicted(), *self._determined(), self._runs()]
+        out = [*self._explained(), self._fitted(), *self._predicted(), *self._determined(), self._runs()]
         if self.fit.state != "done":
             out.append("It was stopped early: these are the sets that it had until then.")
         if count := len(self.warnings()):
@@ -202,13 +203,19 @@ class FitReport:
             )
         return out
 
+    def _explained(self) -> list[str]:
+        sentence = self.fit.provenance.get("adequacy", {}).get("sentence", "")
+        return [f"{sentence[:1].upper()}{sentence[1:]}."] if sentence else []
+
     def _fitted(self) -> str:
         fit, trials = self.fit, sum(trial.use == "fit" for trial in self.fit.trials)
         low, high = percent_text(float(fit.nrmse.min())), percent_text(float(fit.nrmse.max()))
+        judged = fit.provenance.get("adequacy")
+        noise = f", where noise alone costs {percent_text(judged['floor'])}" if judged else ""
         return (
             f"{fit.name}, {self.model}: the {_counted(len(fit.nrmse), 'set')} "
             f"fit{'s' if len(fit.nrmse) == 1 else ''} {_counted(trials, self.noun)} with an NRMSE of "
-            f"{low if low == high else f'{low} to {high}'} "
+            f"{low if low == high else f'{low} to {high}'}{noise} "
             f"(rms error over {fit.provenance.get('nrmse_denominator', 'std')} of the measurement)."
         )
 
@@ -241,7 +248,7 @@ class FitReport:
             return [*out, f"What the data determine, {where}: {'; '.join(parts)}."]
         opened = [named[name] for name in self.open_parameters]
         closed = [named[r.name] for r in fit.parameters if r.status == "free" and named[r.name] not in opened]
-        if closed:
+        if closed and fit.provenance.get("adequacy", {}).get("verdict") != NOT_BY:
             out.append(f"The data determine {', '.join(closed)}.")
         if opened:
             out.append(f"They do not determine {', '.join(opened)}: digits of that mean nothing.")
@@ -295,7 +302,9 @@ class FitReport:
     )
     def trial_errors(self) -> Html:
         """Return NRMSE per trial and channel."""
-        return joined([markup_table(trial_table(f.parameter_sets())) for f in self.fits if f.trials])
+        judged = [adequacy_table(f.parameter_sets()) for f in self.fits if "adequacy" in f.provenance]
+        scored = [trial_table(f.parameter_sets()) for f in self.fits if f.trials]
+        return joined([markup_table(each) for each in (*scored, *judged)])
 
     @titled(
         "Measured and simulated",

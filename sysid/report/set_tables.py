@@ -43,6 +43,8 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     searched = [i for i, record in enumerate(sets.parameters) if _is_found(sets, record)]
     shown = searched or [i for i, record in enumerate(sets.parameters) if record.status == "measured"]
     rows = [_scores("NRMSE fitted", sets.nrmse, "strong")]
+    if judged := sets.provenance.get("adequacy"):
+        rows.append(_scores("noise alone", np.full(len(sets), judged["floor"])))
     held_out = [t for t, use in enumerate(sets.uses) if use == "validate"]
     validated = _trial_means(sets)[:, held_out].mean(axis=1) if held_out else np.full(len(sets), np.nan)
     if np.any(np.isfinite(validated)):
@@ -179,6 +181,30 @@ def trial_table(sets: ParameterSets) -> Table:
         _NOISE if any(channel.endswith("_rate") for channel in sets.channels) else "",
         (t for t in range(1, len(sets.uses)) if sets.uses[t] != sets.uses[t - 1]),
         texts=2,
+    )
+
+
+def adequacy_table(sets: ParameterSets) -> Table:
+    """Return the residuals of the best set over the noise floor, per trial and channel, and what lasts."""
+    judged = sets.provenance["adequacy"]
+    channels = judged["channels"]
+
+    def ratio(value: float) -> Cell:
+        low, high = judged["limits"].values()
+        return Cell(f"{value:.2f}", "good" if value <= low else "doubtful" if value <= high else "bad")
+
+    rows: list[tuple[str | Cell, ...]] = [
+        (trial, *(ratio(row["by_trial"][trial]) for row in channels)) for trial in channels[0]["by_trial"]
+    ]
+    rows.append(("all", *(ratio(row["ratio"]) for row in channels)))
+    rows.append(("autocorrelation", *(f"{row['autocorrelation']:.2f}" for row in channels)))
+    return listed(
+        f"{sets.name}: residual of the best set over the noise",
+        rows,
+        ("trial", *(channel_symbol(row["name"]) for row in channels)),
+        "1: noise alone, after what errors of known values explain; autocorrelation: of the residuals, where "
+        "the noise has none",
+        {len(rows) - 2},
     )
 
 

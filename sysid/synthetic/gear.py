@@ -9,7 +9,7 @@ and its axes are not quite level while the drone is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -159,6 +159,7 @@ def synthesize_gear(
     parameters: Mapping[str, float] | None = None,
     name: str | None = None,
     force: bool = False,
+    simulate: Callable[..., Any] = model.simulate,
     **lab: Any,
 ) -> Path:
     """Write a campaign of drops with known truth: ``campaign.toml``, one log per drop and ``truth.json``.
@@ -178,6 +179,9 @@ def synthesize_gear(
         True values that differ from these means [SI].
     name : str, optional
         Of the campaign; ``synthetic-lf`` when left out.
+    simulate : callable, optional
+        What drops the true gear, with the arguments of `sysid.gear.model.simulate`: another simulator may
+        have physics that the model lacks.
     **lab
         Fields of `CaptureLab`.
     """
@@ -196,7 +200,7 @@ def synthesize_gear(
     for number, plan in enumerate(drops, start=1):
         # Children of one seed: a drop stays the same when another one is added.
         source = np.random.default_rng([seed, number])
-        truth = _simulate(plan, true, surface, setup.rate, source)
+        truth = _simulate(plan, true, surface, setup.rate, source, simulate)
         log = f"drop-{number}-{plan.name}.csv"
         take, marks = _record(number, truth, setup, source)
         if plan.export == "pose-table":
@@ -231,7 +235,12 @@ def synthesize_gear(
 
 
 def _simulate(
-    plan: DropPlan, true: Mapping[str, float], surface: str, rate: float, source: np.random.Generator
+    plan: DropPlan,
+    true: Mapping[str, float],
+    surface: str,
+    rate: float,
+    source: np.random.Generator,
+    simulate: Callable[..., Any],
 ) -> _Truth:
     """Simulate one drop on capture frames that do not coincide with its release."""
     gravity = true["gravity"]
@@ -248,7 +257,7 @@ def _simulate(
     start = np.array([foot_x + true["foot_dx"], foot_z + true["foot_dz"], 0.0, 0.0, 0.0, 0.0])
     falling = time > release
     clock = np.concatenate([[release], time[falling]])
-    run = model.simulate(true, plan.slope, start, clock, surface=surface, tolerance=model.TIGHT_TOLERANCE)
+    run = simulate(true, plan.slope, start, clock, surface=surface, tolerance=model.TIGHT_TOLERANCE)
     if run.status is not model.Status.OK:
         raise CampaignError(
             f"drop {plan.name}: the true parameters cannot be simulated ({run.status.text}); change them"

@@ -11,16 +11,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, undisturbed
 from sysid.fit.problem import Problem
 from sysid.journal import Say
 from sysid.trust.least_squares import Solved, solve
-from sysid.trust.linearized import Linearized, linearized, noise_model, undisturbed
+from sysid.trust.linearized import Linearized, linearized, noise_model
+from sysid.trust.misfit import widened
 from sysid.trust.problem import nrmse_of, scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
+from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray, IntArray
 
 # Rounds of fitting and weighting; the weights follow the NRMSE, which hardly moves.
 _ROUNDS = 3
+# Of a refit.
+_ITERATIONS = 8
+# Of fewer trials none is left out: two that differ do not tell which is odd.
+FEWEST = 3
 
 
 def linearize(problem: Problem, start: FloatArray) -> Linearized:
@@ -69,22 +76,60 @@ def leave_one_out(problem: Problem, linear: Linearized) -> Solved:
 def refit(
     problem: Problem, linear: Linearized, weights: FloatArray | IntArray, tolerance: float | None = None
 ) -> Solved:
-    """Fit the trials under each row of `weights` (F, T) [1], from the minimum on."""
-    scale, weights = linear.scale, np.asarray(weights, dtype=np.float64)
-    return solve(
-        problem, np.tile(linear.point, (len(weights), 1)), scale, linear.jacobian.steps,
-        weights=lambda part: trial_rows(problem.blocks, weights[part], len(scale)),
-        tolerance=linear.tolerance if tolerance is None else tolerance, iterations=8,
-    )  # fmt: skip
+    """Fit the trials under each row of `weights` (F, T), from the minimum on.
+
+    Fits that have not come to an end go on once, from where they are.
+    """
+    weights = np.asarray(weights, dtype=np.float64)
+    tolerance = linear.tolerance if tolerance is None else tolerance
+
+    def walked(starts: FloatArray, weights: FloatArray, iterations: int) -> Solved:
+        return solve(
+            problem, starts, linear.scale, linear.jacobian.steps, tolerance=tolerance, iterations=iterations,
+            weights=lambda part: trial_rows(problem.blocks, weights[part], len(linear.scale)),
+        )  # fmt: skip
+
+    first = walked(np.tile(linear.point, (len(weights), 1)), weights, _ITERATIONS)
+    left = np.flatnonzero(~first.converged & np.isfinite(first.squares))
+    if not len(left):
+        return first
+    more = walked(first.points[left], weights[left], 2 * _ITERATIONS)
+    for name in ("points", "squares", "converged"):
+        getattr(first, name)[left] = getattr(more, name)
+    return replace(first, evaluations=first.evaluations + more.evaluations)
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """What is known about the uncertainty of a fit."""
+    """What is known about the uncertainty of a fit.
 
+    `noise` is what noise alone leaves open; `linear` the same where noise explains the trials, else what
+    misfit leaves open. `without` are the fits without each trial; None with fewer than three.
+    """
+
+    adequacy: Adequacy
+    noise: Linearized
     linear: Linearized
     profiles: Profiles
+    without: Solved | None
     resampled: Solved | None
+
+    @property
+    def verdicts(self) -> tuple[str, ...]:
+        """The verdict on every free parameter.
+
+        Where noise does not explain the trials, no parameter is well known, and one that a bound cuts is
+        not interpretable.
+        """
+        words = [verdict(profile.half_width) for profile in self.profiles.profiles]
+        if self.adequacy.verdict != NOT_BY:
+            return tuple(words)
+        cut = self.adequacy.symptoms
+        names = (profile.name for profile in self.profiles.profiles)
+        return tuple(
+            "not_interpretable" if name in cut else "weakly" if word == "well" else word
+            for name, word in zip(names, words, strict=True)
+        )
 
 
 def assess(
@@ -97,16 +142,32 @@ def assess(
     """
     tell = say or (lambda sentence: None)
     tell("derivatives at the best set")
-    linear = linearize(problem, start)
+    judged, noise, linear, without = _judged(problem, start)
     tell(f"profiles of {len(start)} parameters")
     walked = walk_profiles(problem, linear, seed)
     if walked.lowered > 1.0:
         # A profile has found a better place, from which everything is judged.
-        linear = linearize(problem, walked.best)
+        judged, noise, linear, without = _judged(problem, walked.best)
         again = walk_profiles(problem, linear, seed)
         walked = replace(again, evaluations=walked.evaluations + again.evaluations)
     resampled = None
-    if resamples > 0 and len(problem.trials) >= 3:
+    if resamples > 0 and len(problem.trials) >= FEWEST:
         tell(f"{resamples} fits of resampled trials")
-        resampled = bootstrap(problem, linear, resamples, seed)
-    return Assessment(linear, walked, resampled)
+        resampled = bootstrap(problem, noise, resamples, seed)
+    return Assessment(judged, noise, linear, walked, without, resampled)
+
+
+def _judged(problem: Problem, start: FloatArray) -> tuple[Adequacy, Linearized, Linearized, Solved | None]:
+    """Go to the minimum near a start; return how well noise explains it, and what it leaves open.
+
+    What noise alone leaves open, what is left open with the misfit, and the fits without each trial.
+    """
+    noise = linearize(problem, start)
+    space = problem.space
+    sides = dict(zip(space.names, space.at_bound(noise.point[None])[0].tolist(), strict=True))
+    judged = adequacy(problem, space.full(noise.point[None])[0], sides)
+    without = leave_one_out(problem, noise) if len(problem.trials) >= FEWEST else None
+    if judged.verdict == EXPLAINED_BY:
+        return judged, noise, noise, without
+    points = np.zeros((0, len(start))) if without is None else without.points
+    return judged, noise, widened(problem, noise, points), without

@@ -23,6 +23,7 @@ from pydantic import ConfigDict, Field
 
 from sysid.documents import Document, Open, OpenMapping, Part
 from sysid.errors import FitError
+from sysid.fit.adequacy import Adequacy
 from sysid.fit.provenance import CampaignFile
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_file
@@ -49,7 +50,8 @@ class FreeParameter(Part):
     from the profile; an open end is a bound of the search. ``half_width`` is half of ``interval_95`` over the
     profile's best value, infinite where open; ``expected_half_width`` is linearized, as in `sysid check`.
     ``verdict`` is "well" below 0.1, "weakly" below 0.5, else "not_identifiable"; never "well" with a
-    ``doubt``, which says why the interval may miss the truth. ``partners`` come strongest first, from a
+    ``doubt``, which says why the interval may miss the truth. It is "not_interpretable" where a bound cuts
+    and the model does not explain the trials. ``partners`` come strongest first, from a
     correlation of 0.8 on. ``at_bound`` is -1, 0 or 1: the best set ends within 1 % of a bound. ``measured``
     is the campaign's independent measurement. ``rough_points`` of the profile needed a random search.
     """
@@ -130,7 +132,7 @@ class TrialInfluence(Part):
 
 
 class Bootstrap(Part):
-    """Fits of resampled trials; the failed ones count in no interval."""
+    """Fits of resampled trials; those that did not come to an end, ``failed``, count from where they are."""
 
     resamples: int
     failed: int
@@ -189,6 +191,7 @@ class TrustPart(Document):
 class TrustDocument(TrustPart):
     """``trust.json``: intervals, verdicts and influence of trials."""
 
+    adequacy: Adequacy
     parameters: list[FreeParameter]
     correlation: list[list[float]]
     noise: Noise

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.fit.problem import Problem
-from sysid.trust.assessment import leave_one_out
+from sysid.trust.assessment import FEWEST
+from sysid.trust.least_squares import Solved
 from sysid.trust.linearized import Linearized, bounded_information, gradient_noise
 from sysid.trust.problem import trial_rows
 from sysid.trust.verdicts import WEAKLY
@@ -24,8 +25,6 @@ STANDS_OUT = 2.0
 # One trial less moves a parameter by about its own standard deviation. Of twenty synthetic campaigns (seeds
 # 1001 to 1020) the one whose fit was wrong moved by 6.4, the farthest of the others by 4.1, the next by 3.3.
 HANGS = 4.5
-# Of fewer trials none is left out: two that differ do not tell which is odd.
-FEWEST = 3
 # Of the variance without the trial, at least: what the weighting of the trials leaves of a difference.
 _LEAST = 0.2
 
@@ -66,19 +65,18 @@ class Influence:
         return tuple((t, far) for t, far in enumerate(moved) if far)
 
 
-def influence(problem: Problem, linear: Linearized, floors: FloatArray) -> Influence:
+def influence(problem: Problem, linear: Linearized, floors: FloatArray, refits: Solved | None) -> Influence:
     """Return what each trial scores, and what the fit at its minimum would be without it.
 
-    `floors` (B,) is the NRMSE that noise alone costs [1].
+    `floors` (B,) is the NRMSE that noise alone costs [1]; `refits` are the fits without each trial, if any.
     """
     blocks, count, n = problem.blocks, len(problem.trials), len(linear.point)
     scored = np.zeros((2, count))
     for block, level, floor in zip(blocks, linear.levels, floors, strict=True):
         scored[:, block.trial] += block.weight * np.array([level, floor])
     ratio = scored[0] / np.where(scored[1] > 0, scored[1], np.nan)
-    if count < FEWEST:
+    if refits is None:
         return Influence(ratio, np.full((count, n), np.nan), np.zeros((count, n)))
-    refits = leave_one_out(problem, linear)
     shift = np.zeros((count, n))
     changes = problem.disturbances(linear.point)
     for t in range(count):

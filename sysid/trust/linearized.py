@@ -203,21 +203,6 @@ def noise_model(blocks: Sequence[Block], residuals: FloatArray) -> NoiseModel:
     return NoiseModel(channels, total[:, :, : len(lags)] * window)
 
 
-def undisturbed(blocks: Sequence[Block], residuals: FloatArray, disturbances: FloatArray) -> FloatArray:
-    """Return residuals (m,) [1] without what one-sigma changes (K, m) of the assumed values explain.
-
-    That part lasts through a whole trial; counted as noise it would count twice. The prior of each change is
-    its standard deviation, and each block is weighted by its NRMSE.
-    """
-    weight = np.zeros(len(residuals))
-    for block in blocks:
-        values = residuals[block.start : block.stop]
-        weight[block.start : block.stop] = block.count / max(float(np.sum(values**2)), 1e-300)
-    weighted = disturbances * weight
-    normal = weighted @ disturbances.T + np.eye(len(disturbances))
-    return residuals - np.linalg.solve(normal, weighted @ residuals) @ disturbances
-
-
 def _lasting(correlation: FloatArray, samples: float) -> int:
     """Return the lag from which on a channel's samples are uncorrelated."""
     small = np.abs(correlation) < _NEGLIGIBLE * np.sqrt(np.log10(max(samples, 10.0)) / samples)

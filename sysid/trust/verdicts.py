@@ -10,7 +10,8 @@ from sysid.trust.documents import Expected
 
 # Relative 95 % half-widths that part the verdicts.
 WELL, WEAKLY = 0.1, 0.5
-VERDICTS = ("well", "weakly", "not_identifiable")
+# The last one is of a bound that cuts under a wrong model: no interval can be read there.
+VERDICTS = ("well", "weakly", "not_identifiable", "not_interpretable")
 
 
 def verdict(half_width: float) -> str:

@@ -15,10 +15,12 @@ import numpy as np
 
 from sysid.campaign import FitTable
 from sysid.errors import FitError
+from sysid.fit.adequacy import EXPLAINED_BY, Adequacy, adequacy, misfit_finding
 from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION, breeder
 from sysid.fit.breeders.in_process import BreederApart
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
+from sysid.fit.least_squares import noise_floor
 from sysid.fit.objective import SpreadObjective
 from sysid.fit.optima import agreement, loose_findings, waterfall
 from sysid.fit.problem import Course, FitOutcome, Problem
@@ -129,10 +131,11 @@ def fit_campaign(
             runs, cut = _search(fitted, limited, options, checkpoint, progress, deadline.flag, candidate_time)
             sets = ranked_sets(runs, problem.space)
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
-            record = {**provenance(search, problem, folder), **expected}
+            judged = _judged(problem.fitted.exact, outcome)
+            record = {**provenance(search, problem, folder), **expected, "adequacy": judged.model_dump()}
             result = _result(model.name, problem, runs, outcome, record)
             doubts = loose_findings(runs, problem.space), bound_findings(outcome.records, outcome.at_bound)
-            _add_doubts(journal, chain(*doubts))
+            _add_doubts(journal, chain(misfit_finding(judged), *doubts))
             noticed = [finding.document() for finding in journal.findings]
             result = replace(
                 result,
@@ -157,6 +160,15 @@ def _add_doubts(journal: Journal, doubts: Iterable[Finding]) -> None:
         lost = {name for old in journal.findings if old.code == "not-identifiable" for name in old.parameters}
         if not finding.parameters or not lost.issuperset(finding.parameters):
             journal.add(finding)
+
+
+def _judged(fitted: Problem, outcome: FitOutcome) -> Adequacy:
+    """Return whether noise explains what the best set leaves; tell so if it does."""
+    sides = zip(outcome.records, outcome.at_bound[0].tolist(), strict=True)
+    judged = adequacy(fitted, outcome.rows[0], {r.name: side for r, side in sides if r.status == "free"})
+    if judged.verdict == EXPLAINED_BY:
+        tell(judged.sentence)
+    return judged
 
 
 def _expected(fitted: Problem) -> dict[str, Any]:
@@ -197,8 +209,7 @@ def _search(
     if checkpoint.memories:
         done = sum(len(stage.cost) for memory in checkpoint.memories for stage in memory.stages)
         tell(f"continuing {len(checkpoint.memories)} runs after {done} generations")
-    # NaN where a log shows no noise.
-    progress.expect(sum(block.weight * block.noise for block in fitted.blocks), candidate_time)
+    progress.expect(noise_floor(fitted.blocks), candidate_time)
     dask = options.dask
     # One process would breed too slowly for many workers; each further one costs a start.
     apart = dask is not None and (dask != "local" or (os.cpu_count() or 1) > _FED_BY_ONE)
@@ -217,7 +228,7 @@ def _search(
     # Runs that were not begun have been called off.
     called_off = "interrupted" in ended or len(runs) < settings.runs
     cut: CutReason | None = "interrupted" if called_off else "time" if "time" in ended else None
-    agreed = agreement(runs, settings.runs, fitted.space.free)
+    agreed = agreement(runs, settings.runs, fitted.space.free, noise_floor(fitted.blocks))
     if len(runs) > 1:
         for line in waterfall(runs, fitted.space.free):
             tell(line)

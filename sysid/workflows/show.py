@@ -6,11 +6,18 @@ from pathlib import Path
 
 from sysid import exact_json
 from sysid.export import load_parameter_sets
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS
 from sysid.fit.result import FitResult
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import ParameterSets
-from sysid.report.fold import print_table
-from sysid.report.set_tables import ladder_table, mean_sigma_table, ranked_table, trial_table
+from sysid.report.fold import print_lines, print_table
+from sysid.report.set_tables import (
+    adequacy_table,
+    ladder_table,
+    mean_sigma_table,
+    ranked_table,
+    trial_table,
+)
 
 
 def load_sets(path: str | Path) -> ParameterSets:
@@ -58,21 +65,28 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
 
 
 def _verdict(result: FitResult) -> str:
-    """Return how well the best set fits and what the data leave open, in one sentence."""
-    found = result.provenance.get("findings", ())
+    """Return whether noise explains the fit, and what the data leave open, in one sentence."""
+    found, judged = result.provenance.get("findings", ()), result.provenance["adequacy"]
     lost = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}
     known = f"not determined: {', '.join(sorted(lost))}" if lost else "every free parameter is determined"
+    if judged["verdict"] == NOT_BY and not lost:
+        known = "no parameter is well known"
     warned = len(result.warnings)
     return (
-        f"NRMSE {100 * result.nrmse[0]:.2f} %; {known.replace('_', ' ')}; "
+        f"{WORDS[judged['verdict']]}, NRMSE {100 * result.nrmse[0]:.2f} % (noise alone: "
+        f"{100 * judged['floor']:.2f} %); {known.replace('_', ' ')}; "
         f"{warned or 'no'} warning{'' if warned == 1 else 's'}{' above' if warned else ''}"
     )
 
 
 def _print_tables(sets: ParameterSets) -> None:
+    if judged := sets.provenance.get("adequacy"):
+        print_lines([judged["sentence"]], "" if judged["verdict"] == EXPLAINED_BY else "bold yellow")
     print_table(ranked_table(sets))
     print_table(mean_sigma_table(sets))
     if sets.trials:
         print_table(trial_table(sets))
+    if "adequacy" in sets.provenance:
+        print_table(adequacy_table(sets))
     if "ladder" in sets.settings:
         print_table(ladder_table(sets))

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import FitError
+from sysid.fit.adequacy import NOT_BY, misfit_finding
 from sysid.fit.problem import Words
 from sysid.fit.result import FitResult
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import Parameter, SearchSpace, about
-from sysid.trust.assessment import Assessment, assess
+from sysid.trust.assessment import FEWEST, Assessment, assess
 from sysid.trust.documents import TRUST, write_part
-from sysid.trust.influence import FEWEST, Influence, influence
+from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
 from sysid.trust.problem import spread_over
-from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray
 from sysid.workflows.options import TrustOptions
 from sysid.workflows.reopen import OpenedFit, open_fit
@@ -59,12 +59,15 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
                 seed=options.seed,
                 say=journal.tell,
             )
-            if len(problem.trials) >= FEWEST:
-                journal.tell("fits without one trial")
             floors = problem.floors(problem.space.full(assessed.linear.point[None])[0])
-            trials = influence(spread, assessed.linear, floors)
+            trials = influence(spread, assessed.noise, floors, assessed.without)
+        judged = assessed.adequacy
         rows = _parameters(opened.result, opened.space, assessed)
         _notice_trials(problem.names, opened.space.decode(trials.without), trials, rows, opened.kind.words)
+        for finding in misfit_finding(judged):
+            journal.add(finding)
+        for row in rows if judged.verdict == NOT_BY else ():
+            _doubt(row, "the model does not explain the trials")
         for finding in _doubts(opened.space.free, rows, assessed, opened.result.cube[0]):
             journal.add(finding)
         document, arrays = _document(opened, assessed, trials, floors, rows)
@@ -118,6 +121,7 @@ def _document(
     if boot is not None:
         arrays["bootstrap/values"] = (space.decode(boot.points), "resample, free parameter", "SI")
     document = {
+        "adequacy": assessed.adequacy,
         "campaign": opened.stated,
         "parameters": rows,
         "correlation": linear.information.correlation,
@@ -199,8 +203,8 @@ def _notes(opened: OpenedFit, boot: Solved | None) -> list[str]:
     elif boot is not None and not boot.converged.all():
         lost = int(np.count_nonzero(~boot.converged))
         out.append(
-            f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end and "
-            "are left out of its intervals, which may be too narrow for that"
+            f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end; "
+            "they count in its intervals from where they are"
         )
     given = opened.problem.given()
     if given:
@@ -222,9 +226,10 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
     partners = linear.information.partners(space.names)
     boot = None
     if assessed.resampled is not None:
-        boot = space.decode(assessed.resampled.points[assessed.resampled.converged])
+        boot = space.decode(assessed.resampled.points[np.isfinite(assessed.resampled.squares)])
     out = []
-    for i, (row, profile) in enumerate(zip(space.free, assessed.profiles.profiles, strict=True)):
+    judged = zip(space.free, assessed.profiles.profiles, assessed.verdicts, strict=True)
+    for i, (row, profile, word) in enumerate(judged):
         record = result.parameters[index[row.name]]
         quantiles = None
         if boot is not None and len(boot) >= 10:
@@ -243,7 +248,7 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
             | {key: list(getattr(profile, key)) for key in _ENDS}
             | {
                 "half_width": profile.half_width,
-                "verdict": verdict(profile.half_width),
+                "verdict": word,
                 "doubt": None,
                 "expected_half_width": float(linear.half_widths[i]),
                 "partners": [partner.model_dump() for partner in partners[i]],

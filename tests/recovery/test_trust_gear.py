@@ -17,7 +17,7 @@ from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, gear_space
 from sysid.gear.starts import compared_noise, start_roots
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.synthetic.gear import DropPlan
-from sysid.trust.assessment import linearize
+from sysid.trust.assessment import leave_one_out, linearize
 from sysid.trust.documents import TRUST, parts, read_arrays, read_part
 from sysid.trust.influence import influence
 from sysid.trust.problem import nrmse_of
@@ -200,7 +200,8 @@ def test_the_drop_that_misleads_a_fit_is_named(tmp_path):
     campaign = read_campaign(path, "gear")
     problem = find_kind("gear").open(campaign, path, None).fitted.exact
     linear = linearize(problem, _truth(problem, path.parent))
-    found = influence(problem, linear, np.array([block.noise for block in problem.blocks]))
+    floors = np.array([block.noise for block in problem.blocks])
+    found = influence(problem, linear, floors, leave_one_out(problem, linear))
     # Its residual tells nothing, for the fit has bent to it.
     assert found.outliers == ()
     named = {problem.names[t]: {problem.space.names[i] for i in far} for t, far in found.held_by}

@@ -58,7 +58,7 @@ def test_where_a_run_was_cut_is_no_optimum(ended, reason, advice):
     cut = run(0.12, (0.9, 0.9), ended=ended)
     found = agreement([best, worse, cut])
     assert found.sentence() == (
-        f"1 of 3 runs was not finished ({reason}) and says nothing about optima yet; best NRMSE so far "
+        f"1 of 3 runs was not finished ({reason}) and says nothing about optima yet; best so far: NRMSE "
         f"8.000 %, the finished ones end at 1.000 to 1.250 × it; {advice}"
     )
     assert [line.split()[5] for line in waterfall([best, worse, cut])[1:]] == ["A", "B", "-"]
@@ -71,7 +71,7 @@ def test_where_a_run_was_cut_is_no_optimum(ended, reason, advice):
 
 def test_runs_that_were_not_begun_are_missed():
     best, cut = run(0.08, (0.2, 0.5)), run(0.12, (0.9, 0.9), ended="interrupted")
-    ends = "which says nothing about optima yet; best NRMSE so far"
+    ends = "which says nothing about optima yet; best so far: NRMSE"
     stop, go_on = "(stopped by the user)", "; continue with --resume"
     assert agreement([cut, cut], 5).sentence() == (
         f"2 of 5 runs were begun, none of them finished {stop}, {ends} 12.000 %{go_on}"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from sysid.fit.problem import Block, NoiseModel
+from sysid.fit.problem import Block, NoiseModel, Trial
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
-from sysid.trust.assessment import assess, bootstrap, linearize, refit
+from sysid.trust.assessment import assess, bootstrap, leave_one_out, linearize, refit
 from sysid.trust.influence import influence
 from sysid.trust.jacobian import jacobian
 from sysid.trust.least_squares import search_around, solve
@@ -38,7 +38,11 @@ class Linear:
 
     def __post_init__(self):
         self.space = _space(self.designs[0].shape[1], self.scale)
-        self.trials = tuple(f"trial-{t}" for t in range(len(self.designs)))
+        self.names = tuple(f"trial-{t}" for t in range(len(self.designs)))
+        self.trials = tuple(
+            Trial(name, "fit", np.arange(len(y), dtype=float), y, np.ones(y.shape, bool), {}, 0.0)
+            for name, y in zip(self.names, self.data, strict=True)
+        )
         self.channels = tuple(f"c{c}" for c in range(self.data[0].shape[1]))
         blocks, start = [], 0
         for t, y in enumerate(self.data):
@@ -58,6 +62,18 @@ class Linear:
             for c in range(y.shape[1])
         ]
         return np.concatenate(parts, axis=1), np.zeros(len(p), dtype=bool)
+
+    def compared(self, rows):
+        return self.residuals(self.space.encode(rows))
+
+    def phases(self, trial, row):
+        return [(0.0, "throughout")]
+
+    def correlation(self):
+        return NoiseModel(tuple(range(len(self.channels))), np.eye(len(self.channels))[:, :, None])
+
+    def disturbances_at(self, row):
+        return self.disturbances(row)
 
     def disturbances(self, cube):
         return self.rows.reshape(-1, self.blocks[-1].stop)
@@ -368,7 +384,8 @@ def test_what_is_at_its_bound_takes_no_share_of_the_others_error():
 
 def _influence(problem):
     linear = linearize(problem, np.full(2, 0.5))
-    return linear, influence(problem, linear, np.array([block.noise for block in problem.blocks]))
+    floors = np.array([block.noise for block in problem.blocks])
+    return linear, influence(problem, linear, floors, leave_one_out(problem, linear))
 
 
 def test_the_trial_that_decides_a_fit_is_named():

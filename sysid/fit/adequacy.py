@@ -1,0 +1,215 @@
+"""Does the model explain the trials? Residuals over the noise floor, and where the misfit sits.
+
+The noise is known without any fit: a body in free fall or at rest, and a sensor between steps, show it. What
+a fit takes as known (the state in which a drop starts, tares, static curves) adds errors that last through a
+whole trial; `undisturbed` takes away what their stated uncertainty explains. What is left of a right model
+scores 1.0 times the noise in every channel. Velocities are mostly noise, so that a mean over channels hides a
+position that is ten noise deviations off: the verdict is by the worse of the mean and the worst channel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sysid.documents import Part
+from sysid.fit.least_squares import EXPLAINED, noise_floor
+from sysid.fit.optima import beside_noise
+from sysid.fit.problem import Block, Problem
+from sysid.journal import Finding
+from sysid.parameters import in_words
+from sysid.types import FloatArray
+
+# Residual over noise floor up to which a model explains its trials roughly [1]; beyond, it does not.
+ROUGHLY = 1.5
+EXPLAINED_BY, ROUGHLY_BY, NOT_BY = "explained", "roughly", "not_explained"
+WORDS = {EXPLAINED_BY: "explained", ROUGHLY_BY: "roughly explained", NOT_BY: "not explained"}
+# Correlation of the noise as compared from which on two samples count as apart [1].
+_APART = 0.1
+
+
+class ChannelAdequacy(Part):
+    """Residual over noise of a channel, over all trials and by trial [1].
+
+    ``autocorrelation`` is of the residuals, at the shortest lag at which the noise has none [1]: 0 for noise.
+    """
+
+    name: str
+    ratio: float
+    by_trial: dict[str, float]
+    autocorrelation: float
+
+
+class Misfit(Part):
+    """Where the misfit sits: channel, phase and trial, each with its residual over noise there [1]."""
+
+    channel: str
+    channel_ratio: float
+    phase: str
+    phase_ratio: float
+    trial: str
+    trial_ratio: float
+
+
+class Adequacy(Part):
+    """How far noise explains what a fit leaves.
+
+    ``verdict`` is "explained" up to ``limits`` 1.2, "roughly" up to 1.5, else "not_explained", by the larger
+    of ``ratio`` and the largest ratio of a channel. ``nrmse`` is of the best set and ``floor`` what noise
+    alone costs [1]; ``ratio`` is the mean NRMSE over that floor, without what the uncertainty of assumed
+    values explains. ``phases`` are residuals over noise of all channels together [1]. ``symptoms`` are
+    parameters whose bound cuts although the model is wrong.
+    """
+
+    verdict: str
+    sentence: str
+    nrmse: float
+    floor: float
+    ratio: float
+    limits: dict[str, float]
+    channels: list[ChannelAdequacy]
+    phases: dict[str, float]
+    misfit: Misfit
+    symptoms: list[str]
+
+
+def undisturbed(blocks: Sequence[Block], residuals: FloatArray, disturbances: FloatArray) -> FloatArray:
+    """Return residuals (m,) without what one-sigma changes (K, m) of the assumed values explain.
+
+    That part lasts through a whole trial; counted as noise it would count twice. The prior of each change is
+    its standard deviation, and each block is weighted by its NRMSE.
+    """
+    weight = np.zeros(len(residuals))
+    for block in blocks:
+        values = residuals[block.start : block.stop]
+        weight[block.start : block.stop] = block.count / max(float(np.sum(values**2)), 1e-300)
+    weighted = disturbances * weight
+    normal = weighted @ disturbances.T + np.eye(len(disturbances))
+    return residuals - np.linalg.solve(normal, weighted @ residuals) @ disturbances
+
+
+def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | None = None) -> Adequacy:
+    """Judge a row (n_table,) of the parameter table [SI] on the trials of a problem.
+
+    `at_bound` names the parameters that end at a bound of the search: -1 the lower, 1 the upper one.
+    """
+    blocks = problem.blocks
+    residuals, lost = problem.compared(row[None])
+    # A lost simulation predicts nothing, which is an NRMSE of 1.
+    whole = np.ones_like(residuals[0]) if lost[0] else residuals[0]
+    rest = undisturbed(blocks, whole, problem.disturbances_at(row))
+    phases = [_phases(problem, t, row) for t in range(len(problem.trials))]
+    noise = np.array([block.noise for block in blocks])
+    weights = np.array([block.weight for block in blocks])
+    nrmse, left = (weights @ _levels(blocks, values) for values in (whole, rest))
+    # Squares of residuals over noise, and samples, by channel, trial and phase.
+    kinds = list(dict.fromkeys(name for names in phases for name in names))
+    size = (len(problem.channels), len(problem.trials), len(kinds))
+    squares, counts = np.zeros(size), np.zeros(size)
+    for block, level in zip(blocks, noise, strict=True):
+        part = (rest[block.start : block.stop] / level) ** 2
+        valid = problem.trials[block.trial].valid[:, block.channel]
+        place = np.array([kinds.index(name) for name in phases[block.trial]])
+        squares[block.channel, block.trial] += np.bincount(place, part, len(kinds))
+        counts[block.channel, block.trial] += np.bincount(place, valid, len(kinds))
+    used = [c for c in range(size[0]) if counts[c].any()]
+    by_trial = _ratio(squares.sum(axis=2), counts.sum(axis=2))
+    by_channel = _ratio(squares.sum(axis=(1, 2)), counts.sum(axis=(1, 2)))
+    by_phase = _ratio(squares.sum(axis=(0, 1)), counts.sum(axis=(0, 1)))
+    channel = max(used, key=lambda c: by_channel[c])
+    # A phase of a few samples has no ratio worth a name: the excess over noise decides.
+    excess = squares - counts
+    phase = int(np.argmax(excess[channel].sum(axis=0)))
+    trial = int(np.argmax(excess[channel, :, phase]))
+    misfit = Misfit(
+        channel=problem.channels[channel],
+        channel_ratio=by_channel[channel],
+        phase=kinds[phase],
+        phase_ratio=_ratio(squares[channel, :, phase].sum(), counts[channel, :, phase].sum()),
+        trial=problem.names[trial],
+        trial_ratio=by_trial[channel, trial],
+    )
+    floor = noise_floor(blocks)
+    ratio = float(left / floor)
+    verdict = verdict_of(max(ratio, misfit.channel_ratio))
+    symptoms = [name for name, side in (at_bound or {}).items() if side] if verdict == NOT_BY else []
+    out = Adequacy(
+        verdict=verdict, sentence="", nrmse=float(nrmse), floor=floor, ratio=ratio,
+        limits={EXPLAINED_BY: EXPLAINED, ROUGHLY_BY: ROUGHLY},
+        channels=[
+            ChannelAdequacy(
+                name=problem.channels[c], ratio=by_channel[c], autocorrelation=_lasting(problem, rest, c),
+                by_trial=dict(zip(problem.names, by_trial[c].tolist(), strict=True)),
+            )
+            for c in used
+        ],
+        phases=dict(zip(kinds, by_phase.tolist(), strict=True)),
+        misfit=misfit, symptoms=symptoms,
+    )  # fmt: skip
+    names = [in_words(row, of_trial=False) for row in problem.space.free if row.name in symptoms]
+    return out.model_copy(update={"sentence": _sentence(out, names)})
+
+
+def verdict_of(ratio: float) -> str:
+    """Return the verdict on a residual over noise [1]; unknown: not explained."""
+    return EXPLAINED_BY if ratio <= EXPLAINED else ROUGHLY_BY if ratio <= ROUGHLY else NOT_BY
+
+
+def misfit_finding(judged: Adequacy) -> tuple[Finding, ...]:
+    """Return what to notice of an adequacy: nothing where noise explains the trials."""
+    if judged.verdict == EXPLAINED_BY:
+        return ()
+    code = "not-explained" if judged.verdict == NOT_BY else "roughly-explained"
+    size = max(judged.ratio, judged.misfit.channel_ratio)
+    return (Finding(code, judged.sentence, size=size, parameters=tuple(judged.symptoms)),)
+
+
+def _levels(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:
+    """Return the NRMSE of every block (B,)."""
+    return np.array([np.sqrt(np.sum(residuals[b.start : b.stop] ** 2) / max(b.count, 1)) for b in blocks])
+
+
+def _ratio(squares: Any, counts: Any) -> Any:
+    return np.sqrt(squares / np.maximum(counts, 1))
+
+
+def _phases(problem: Problem, trial: int, row: FloatArray) -> list[str]:
+    """Return the phase of every sample of a trial."""
+    starts, names = zip(*problem.phases(trial, row), strict=True)
+    time = problem.trials[trial].time
+    place = np.clip(np.searchsorted(starts, time + 1e-9, side="right") - 1, 0, len(names) - 1)
+    return [names[k] for k in place]
+
+
+def _lasting(problem: Problem, residuals: FloatArray, channel: int) -> float:
+    """Return the correlation [1] of a channel's residuals at the shortest lag at which noise has none."""
+    model = problem.correlation()
+    noise = model.covariance[model.channels.index(channel), model.channels.index(channel)]
+    small = np.flatnonzero(np.abs(noise) < _APART * noise[0])
+    lag = int(small[0]) if len(small) else len(noise)
+    above = below = 0.0
+    for block in problem.blocks:
+        if block.channel == channel:
+            part = residuals[block.start : block.stop] / block.noise
+            above += float(part[:-lag] @ part[lag:])
+            below += float(part @ part)
+    return above / max(below, 1e-300)
+
+
+def _sentence(judged: Adequacy, at_bound: Sequence[str]) -> str:
+    word, where = WORDS[judged.verdict], judged.misfit
+    scores = f"{beside_noise(f'{100 * judged.nrmse:.2f} %', judged.floor)}, {judged.ratio:.2f} × the noise"
+    if judged.verdict == EXPLAINED_BY:
+        return f"{word}: {scores}; worst channel {where.channel}, {where.channel_ratio:.2f} ×"
+    text = (
+        f"{word}: {scores}; the misfit sits in {where.channel} ({where.channel_ratio:.1f} × its noise), most "
+        f"{where.phase} ({where.phase_ratio:.1f} ×) and on {where.trial} ({where.trial_ratio:.1f} ×)"
+    )
+    if judged.verdict == NOT_BY:
+        text += "; the model lacks something, so no parameter is well known"
+        if at_bound:
+            are = "ends" if len(at_bound) == 1 else "end"
+            text += f"; {', '.join(at_bound)} {are} at a bound, which is a symptom of that"
+    return text

@@ -1,0 +1,68 @@
+"""Intervals where the model is wrong: what is left is not noise, and more samples do not average it away.
+
+The sandwich covariance of `sysid.trust.linearized` takes the residuals of two trials as independent. What a
+model lacks pushes every trial, and often the same way. Where noise does not explain the trials, a parameter's
+deviation is therefore the largest of
+
+* the sum, not the root of the sum of squares, of what the residuals of each trial may move it by;
+* the jackknife over trials (Efron & Stein 1981), which sees how trials disagree;
+* what leaving any single trial out moves it by;
+
+times Student's t of as many trials over the normal quantile. Bias that all trials share and that looks like a
+change of the parameter stays unseen by any of these; the verdict names it as not interpretable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import t as student
+
+from sysid.fit.problem import Problem
+from sysid.trust.linearized import NORMAL_95, Linearized, gradient_noise, half_widths
+from sysid.trust.problem import trial_rows
+from sysid.types import FloatArray
+
+# Degrees of freedom, at least: steps inside one log repeat as trials do.
+_LEAST_FREEDOM = 2
+
+
+def widened(problem: Problem, linear: Linearized, without: FloatArray) -> Linearized:
+    """Return what misfit leaves open; `without` (T, n) are the fits without each trial, or (0, n)."""
+    factor = np.maximum(misfit_factor(problem, linear, without), 1.0)
+    known = linear.information
+    # Beyond the range of the bounds there is nothing to be uncertain about.
+    largest = 1.0 / (np.sqrt(12.0) * np.maximum(known.sigma, 1e-12))
+    spread = np.minimum(factor, np.maximum(largest, 1.0))
+    information = replace(
+        known,
+        inflation=known.inflation * factor**2,
+        covariance=known.covariance * np.outer(spread, spread),
+    )
+    widths = half_widths(problem.space, linear.point, information.sigma)
+    return replace(linear, information=information, half_widths=widths)
+
+
+def misfit_factor(problem: Problem, linear: Linearized, without: FloatArray) -> FloatArray:
+    """Return by what the deviation of every parameter (n,) grows where noise does not explain the trials."""
+    count, known = len(problem.trials), linear.information
+    inverse = np.linalg.pinv(known.curvature, rcond=1e-12, hermitian=True)
+    moves = np.zeros((count, len(linear.point)))
+    changes = problem.disturbances(linear.point)
+    for t in range(count):
+        rows = trial_rows(problem.blocks, np.eye(count)[t][None], len(linear.scale))[0]
+        spread = gradient_noise(
+            problem.blocks, linear.jacobian.values * rows[:, None], linear.scale, linear.levels, linear.noise,
+            changes,
+        )  # fmt: skip
+        moves[t] = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0))
+    apart = np.maximum(np.sqrt(np.sum(moves**2, axis=0)), 1e-300)
+    quantile = float(student.ppf(0.975, max(count - 1, _LEAST_FREEDOM))) / NORMAL_95
+    together = quantile * moves.sum(axis=0) / apart
+    if not len(without) or not np.isfinite(without).all():
+        return np.asarray(together)
+    scatter = np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
+    farthest = np.max(np.abs(without - linear.point), axis=0) / NORMAL_95
+    sigma = np.maximum(known.sigma, 1e-12)
+    return np.maximum(together, np.maximum(quantile * scatter, farthest) / sigma)

@@ -1,0 +1,81 @@
+"""Does noise explain what a fit leaves: right models, wrong ones, and the place of a known misfit."""
+
+import numpy as np
+import pytest
+
+from fakes.foreign_gear import simulator
+from sysid.campaign import read_campaign
+from sysid.fit.adequacy import adequacy, misfit_finding, verdict_of
+from sysid.gear import model
+from sysid.synthetic import read_truth, synthesize_gear
+from sysid.synthetic.gear import DropPlan
+from sysid.workflows.kinds import find_kind
+
+DROPS = (DropPlan(np.radians(8), 0.5), DropPlan(np.radians(20), 0.7))
+
+
+def judged(folder, at_bound=None, **terms):
+    """Judge the true values on two drops, of a gear with foreign terms."""
+    out = synthesize_gear(folder, seed=7, drops=DROPS, simulate=simulator(**terms))
+    path = out / "campaign.toml"
+    problem = find_kind("gear").open(read_campaign(path, "gear"), path, 1).exact
+    true = read_truth(out)["parameters"]
+    row = np.array([true.get(name, problem.base[i]) for name, i in problem.space.table.index.items()])
+    return adequacy(problem, row, at_bound)
+
+
+def test_the_foreign_simulator_without_terms_is_the_model():
+    true = model.PARAMETERS.nominal
+    start = np.array([-0.2, 0.5, 0.0, 0.0, 0.0, 0.0])
+    clock = np.linspace(0.0, 0.6, 61)
+    arguments = (true, np.radians(15), start, clock)
+    ours = model.simulate(*arguments, surface="lf", tolerance=model.TIGHT_TOLERANCE)
+    theirs = simulator()(*arguments, surface="lf", tolerance=model.TIGHT_TOLERANCE)
+    # Ten thousandths of the capture's noise of 0.3 mm.
+    np.testing.assert_allclose(ours.state[:, :3], theirs.state[:, :3], atol=3e-8)
+
+
+def test_noise_explains_the_truth_and_nothing_is_noticed(tmp_path):
+    found = judged(tmp_path / "right")
+    assert found.verdict == "explained"
+    assert found.sentence.startswith("explained: NRMSE ")
+    assert "(noise alone: " in found.sentence
+    # Two drops leave each channel 300 samples of noise.
+    assert all(
+        0.8 < channel.ratio < 1.2 and abs(channel.autocorrelation) < 0.15 for channel in found.channels
+    )
+    assert misfit_finding(found) == ()
+
+
+def test_a_misfit_that_the_mean_hides_is_named_with_its_place(tmp_path):
+    found = judged(tmp_path / "wrong", {"ground_stiffness": 1, "joint_dx": 0}, front_bending=1.05)
+    # Velocities are mostly noise: the mean stays low while the pitch is off by many noise deviations.
+    assert found.ratio < 1.5
+    assert found.verdict == "not_explained"
+    (finding,) = misfit_finding(found)
+    assert finding.code == "not-explained"
+    worst = max(found.channels, key=lambda channel: channel.ratio)
+    assert found.misfit.channel == worst.name
+    assert worst.ratio > 2
+    assert worst.autocorrelation > 0.3
+    # Nothing is wrong with a fall.
+    assert found.phases["before the first contact"] < 1.2
+    assert found.misfit.phase != "before the first contact"
+    for words in (f"in {worst.name}", found.misfit.phase, found.misfit.trial, "no parameter is well known"):
+        assert words in finding.sentence
+    assert found.symptoms == ["ground_stiffness"]
+    assert "k_s" in finding.sentence
+
+
+@pytest.mark.parametrize(
+    ("ratio", "word"),
+    [
+        (1.2, "explained"),
+        (1.21, "roughly"),
+        (1.5, "roughly"),
+        (1.51, "not_explained"),
+        (np.nan, "not_explained"),
+    ],
+)
+def test_one_word_first(ratio, word):
+    assert verdict_of(ratio) == word
