@@ -60,7 +60,8 @@ class SimulatedTrials:
     def delays(self, count: int, delays: FloatArray | None) -> FloatArray:
         """Return what `count` candidates add to their command delay per trial (count, n_trials) [s]."""
         shape = (count, len(self))
-        return np.zeros(shape) if delays is None else np.ascontiguousarray(np.broadcast_to(delays, shape))
+        # A copy: numba compiles again for arrays that are locked, as broadcast ones are.
+        return np.zeros(shape) if delays is None else np.array(np.broadcast_to(delays, shape), order="C")
 
 
 def _joined(
