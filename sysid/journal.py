@@ -169,15 +169,13 @@ class Journal:
 _OPEN: ContextVar[Journal | None] = ContextVar("journal", default=None)
 
 
-def notice(
-    code: str, sentence: str, *, trial: str = "", severity: Severity = "warning", size: float = 0.0
-) -> None:
+def notice(code: str, sentence: str, *, trial: str = "", size: float = 0.0) -> None:
     """Add a `Finding` to the open journal; without one, issue a `SysidWarning`, which Python prints."""
-    finding = Finding(code, sentence, severity, (trial,) if trial else (), size)
+    finding = Finding(code, sentence, trials=(trial,) if trial else (), size=size)
     journal = _OPEN.get()
     if journal is not None:
         journal.add(finding)
-    elif severity == "warning":
+    else:
         warnings.warn(str(finding), SysidWarning, stacklevel=2)
 
 

@@ -8,7 +8,8 @@ exactly this; see `sysid.export`.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal, get_args
 
@@ -310,6 +311,18 @@ class ParameterSets(SetsContent):
         if not 1 <= rank <= len(self):
             raise ExportError(f"{self.name}: no set of rank {rank}; there are {len(self)}, the best is 1")
         return dict(zip(self.names, self.values[rank - 1].tolist(), strict=True))
+
+    def known_values(self, rank: int, names: Collection[str] | None = None) -> dict[str, float]:
+        """Return one set [SI], or those of its values that are among `names`; refuse one with NaN."""
+        values = self.set_values(rank)
+        values = {name: value for name, value in values.items() if names is None or name in names}
+        missing = [name for name, value in values.items() if math.isnan(value)]
+        if missing:
+            raise ExportError(
+                f"{self.name}, set {rank}: {', '.join(missing)} unknown (NaN), so nothing can be simulated; "
+                "record what determines it, or state it in the campaign, and fit again"
+            )
+        return values
 
     @property
     def mean(self) -> FloatArray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from typing import Self
 
 from rich.console import Console
@@ -28,7 +29,48 @@ _STILL = 0.05
 _BAR = 30
 
 
-class FitProgress:
+class LiveBlock:
+    """A live `block` on standard error in a terminal, a plain line every few seconds elsewhere."""
+
+    def __init__(self, quiet: bool, console: Console | None = None) -> None:
+        self._quiet = quiet
+        self._console = console if console is not None else Console(stderr=True)
+        self._live: Live | None = None
+        self._began = self._last_line = time.perf_counter()
+
+    def block(self) -> Text:
+        """Return what a terminal shows."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        self._began = self._last_line = time.perf_counter()
+        if not self._quiet and self._console.is_terminal:
+            self._live = Live(
+                console=self._console, get_renderable=self.block, refresh_per_second=4, transient=True
+            )
+            self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def plain(self, line: Callable[[], str]) -> None:
+        """Print a line where no block is shown and the last line is some seconds old."""
+        if self._quiet or self._live is not None:
+            return
+        if time.perf_counter() - self._last_line >= PLAIN_INTERVAL:
+            self._last_line = time.perf_counter()
+            self.say(line())
+
+    def say(self, line: str) -> None:
+        """Print a line that stays, unless quiet."""
+        if not self._quiet:
+            self._console.print(Text(line), soft_wrap=True)
+
+
+class FitProgress(LiveBlock):
     """Reports a fit on standard error; give its methods to `run_many` as `on_generation` and `on_run`.
 
     `simulated` is what a simulation is called: ``drops``, ``trials``. A time limit counts from
@@ -42,12 +84,10 @@ class FitProgress:
         quiet: bool = False,
         console: Console | None = None,
     ) -> None:
+        super().__init__(quiet, console)
         self._settings = settings
         self._simulated = simulated
-        self._quiet = quiet
-        self._console = console if console is not None else Console(stderr=True)
-        self._live: Live | None = None
-        self._started = self._began = self._last_line = time.perf_counter()
+        self._started = self._began
         self._noise = self._candidate_time = math.nan
         self._running: dict[int, Generation] = {}
         self._ended: dict[int, RunHistory] = {}
@@ -59,52 +99,31 @@ class FitProgress:
         self._noise, self._candidate_time = noise, candidate_time
 
     def __enter__(self) -> Self:
-        self._began = self._last_line = time.perf_counter()
-        if not self._quiet and self._console.is_terminal:
-            self._live = Live(
-                console=self._console, get_renderable=self.block, refresh_per_second=4, transient=True
-            )
-            self._live.start()
-        elif not self._quiet:
-            self._say(f"{self._settings.runs} runs of the search; left {self.time_left()}")
+        super().__enter__()
+        if self._live is None:
+            self.say(f"{self._settings.runs} runs of the search; left {self.time_left()}")
         return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
 
     def on_generation(self, run: int, generation: Generation) -> None:
         """Report a generation of a run (from 0)."""
         self._running[run] = generation
         self._before.setdefault(run, generation.evaluations - len(generation.cost))
-        now = time.perf_counter()
-        if not self._quiet and self._live is None and now - self._last_line >= PLAIN_INTERVAL:
-            self._last_line = now
-            self._say(f"{self.line(run)}  left {self.time_left()}")
+        self.plain(lambda: f"{self.line(run)}  left {self.time_left()}")
 
     def on_run(self, run: int, history: RunHistory) -> None:
         """Report the end of a run (from 0)."""
         self._ended[run] = history
-        if self._quiet:
-            return
         stages = ", ".join(
             f"{stage.algorithm} {len(stage.cost)} generations ({stage.ended})" for stage in history.stages
         )
-        self._say(
+        self.say(
             f"run {run + 1}/{self._settings.runs} ended: {self._score(float(history.best[-1]))}, "
             f"{history.wall_time:.1f} s, {history.evaluations} candidates, {failures(history)}; {stages}"
         )
 
     def on_stop(self) -> None:
         """Say that Ctrl-C was heard."""
-        if not self._quiet:
-            self._say(
-                "stopping when what is under way is done, and keeping what was found; Ctrl-C again aborts"
-            )
-
-    def _say(self, line: str) -> None:
-        self._console.print(Text(line), soft_wrap=True)
+        self.say("stopping when what is under way is done, and keeping what was found; Ctrl-C again aborts")
 
     def _score(self, nrmse: float) -> str:
         over = f" = {nrmse / self._noise:.2f} × noise" if self._noise > 0 else ""

@@ -75,15 +75,15 @@ class RankedSets:
 SETS_KEPT = 5
 
 
-def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace, keep: int = SETS_KEPT) -> RankedSets:
-    """Return one set per run, the best `keep` of them, ranked by cost; equal costs keep the order of runs.
+def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace) -> RankedSets:
+    """Return one set per run, the best `SETS_KEPT`, ranked by cost; equal costs keep the order of runs.
 
     Five of one population would be clones: the paper's five sets are the best of each run's last generation.
     """
     if not runs:
         raise FitError("no run has finished a generation, so there is no set; run the fit again")
     cost = np.array([float(run.best[-1]) for run in runs])
-    order = np.argsort(cost, kind="stable")[:keep]
+    order = np.argsort(cost, kind="stable")[:SETS_KEPT]
     cube = np.stack([runs[i].best_point for i in order])
     at_bound = np.zeros((len(order), len(space.table)), dtype=np.int8)
     at_bound[:, space.columns] = space.at_bound(cube)

@@ -94,20 +94,8 @@ def drones(gear: ParameterSets, motor: ParameterSets, pairing: Pairing = "best")
     surface = find_surface(str(gear.settings.get("surface", "lf"))).name
     out = []
     for rank in range(1, len(gear) + 1):
-        legs = _known(gear, rank, gear_model.PARAMETERS)
-        rotor = _known(motor, rank if pairing == "each" else 1, motor_model.PARAMETERS)
+        legs = gear.known_values(rank, gear_model.PARAMETERS)
+        rotor = motor.known_values(rank if pairing == "each" else 1, motor_model.PARAMETERS)
         rotor.pop("command_delay", None)
         out.append(Drone(legs, rotor, surface, f"{gear.name} set {rank}"))
     return tuple(out)
-
-
-def _known(sets: ParameterSets, rank: int, table: Mapping[str, object]) -> dict[str, float]:
-    """Return what the model reads of a set."""
-    values = {name: value for name, value in sets.set_values(rank).items() if name in table}
-    missing = [name for name, value in values.items() if math.isnan(value)]
-    if missing:
-        raise ExportError(
-            f"{sets.name}, set {rank}: {', '.join(missing)} unknown (NaN), so nothing can be simulated; "
-            "record what determines it, or state it in the campaign, and fit again"
-        )
-    return values

@@ -381,15 +381,13 @@ def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: MapLegen
         legend.line(label, linestyle="none", markeredgecolor="white", **look)
 
 
-def figure_impulse(
-    best: Sequence[ImpulseMap], names: Sequence[str] = ("delay", "duration"), *, stacked: bool = False
-) -> Figure:
+def figure_impulse(best: Sequence[ImpulseMap], *, stacked: bool = False) -> Figure:
     """Draw the best impulse: a row per surface; mean, σ over the sets of delay and duration on the grid.
 
     With `stacked`, for a narrow page, they are drawn below each other; then `best` has one surface.
     """
     shown = ("mean", "sigma") if any(len(chart.sets) > 1 for chart in best) else ("mean",)
-    columns = [(which, name) for name in names for which in shown]
+    columns = [(which, name) for name in ("delay", "duration") for which in shown]
     across, down = (1, len(columns)) if stacked else (len(columns), len(best))
     size = (WIDTH, 0.4 + 2.9 * down) if stacked else (0.5 + 3.5 * across, 0.9 + 3.1 * down)
     figure = Figure(figsize=size, layout="constrained")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -76,14 +75,7 @@ def _gear(sets: ParameterSets, rank: int, slope: float, per_leg: bool) -> bytes:
 
 
 def _motor(sets: ParameterSets, rank: int) -> bytes:
-    values = sets.set_values(rank)
-    wrong = [name for name, value in values.items() if math.isnan(value)]
-    if wrong:
-        raise ExportError(
-            f"{sets.name}, set {rank}: {', '.join(wrong)} unknown (NaN); record what determines it and "
-            "fit again"
-        )
-    rotor = first_order_rotor(values)
+    rotor = first_order_rotor(sets.known_values(rank))
     notes = [
         f"{sets.name}, set {rank} of {len(sets)}.",
         f"Time constants: the lag nearest to the motor's response to command steps up and down around "

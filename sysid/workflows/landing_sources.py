@@ -9,12 +9,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
-from rich.console import Console
-from rich.live import Live
 from rich.text import Text
 
 from sysid import __version__
 from sysid.errors import CampaignError, ExportError
+from sysid.fit.progress import LiveBlock
 from sysid.fit.stopping import stop_on_interrupt
 from sysid.journal import notice, tell
 from sysid.landing.controllers import Controller, find_controller, load_controllers
@@ -32,8 +31,6 @@ from sysid.workflows.show import load_sets
 
 Computed = TypeVar("Computed")
 
-# Between two plain lines [s].
-_PLAIN = 10.0
 # Blocks that share a cluster at the same time.
 _AT_ONCE = 8
 
@@ -146,48 +143,32 @@ def compute_and_write(
         return result
 
 
-class BlockProgress:
-    """One live line in a terminal, a plain one every few seconds elsewhere: blocks, landings, time left."""
+class BlockProgress(LiveBlock):
+    """Reports blocks, what they count per second, and the time left."""
 
     def __init__(self, blocks: int, what: str, quiet: bool) -> None:
-        self._blocks, self._what, self._quiet = blocks, what, quiet
-        self._console = Console(stderr=True)
+        super().__init__(quiet)
+        self._blocks, self._what = blocks, what
         self._done = self._now = self._rows = 0
-        self._live: Live | None = None
-        self._started = self._last = time.monotonic()
-
-    def __enter__(self) -> BlockProgress:
-        self._started = self._last = time.monotonic()
-        if not self._quiet and self._console.is_terminal:
-            self._live = Live(console=self._console, refresh_per_second=4, transient=True)
-            self._live.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._live is not None:
-            self._live.stop()
 
     def on_block(self, rows: int, computed: bool) -> None:
         """Report a block."""
         self._done += 1
         self._now += computed
         self._rows += rows if computed else 0
-        if self._quiet:
-            return
-        if self._live is not None:
-            self._live.update(Text(self.line(), no_wrap=True, overflow="ellipsis"))
-        elif time.monotonic() - self._last >= _PLAIN:
-            self._last = time.monotonic()
-            self._console.print(Text(self.line()), soft_wrap=True)
+        self.plain(self.line)
 
     def on_stop(self) -> None:
         """Acknowledge Ctrl-C."""
-        if not self._quiet:
-            self._console.print("stopping after the blocks at hand; Ctrl-C again aborts")
+        self.say("stopping after the blocks at hand; Ctrl-C again aborts")
+
+    def block(self) -> Text:
+        """Return the progress line for a terminal."""
+        return Text(self.line(), no_wrap=True, overflow="ellipsis")
 
     def line(self) -> str:
         """Return the progress line."""
-        spent = time.monotonic() - self._started
+        spent = time.perf_counter() - self._began
         # Before anything is computed no speed is known; a small map's is a fraction, as compilation counts.
         rate = self._rows / spent if spent > 0 else 0.0
         speed = "-" if not rate else f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"

@@ -149,7 +149,7 @@ def test_a_landing_map_of_both_surfaces(done, refused):
 
 def test_progress_of_few_landings_is_a_fraction(monkeypatch):
     clock = iter([0.0, 20.0, 20.0, 20.0])
-    monkeypatch.setattr(landing_sources.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(landing_sources.time, "perf_counter", lambda: next(clock))
     progress = BlockProgress(3, "landings", quiet=True)
     assert "- landings/s" in progress.line()
     progress.on_block(4, computed=True)
