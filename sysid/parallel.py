@@ -13,9 +13,8 @@ import signal
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from math import ceil
 from typing import Any, Protocol, Self
 
@@ -25,10 +24,6 @@ from numpy.typing import NDArray
 from sysid.errors import SysidError
 from sysid.journal import tell
 from sysid.types import FloatArray
-
-# Threads that wait for the next population sleep: the OpenMP under numba would let them spin for some ms,
-# which takes as much processor time again as a small population. Read when numba first computes in parallel.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 Columns = tuple[NDArray[Any], ...]
 
@@ -41,6 +36,8 @@ _LEAST_CHUNK = 8
 _FIRST_CHUNK = 16  # before any was measured
 # With one chunk each, workers that end early would idle.
 _CHUNKS_PER_WORKER = 2
+# The same of threads, whose shares cost nothing to hand out.
+_SHARES = 4
 # How often a chunk is submitted before the cluster is given up.
 ATTEMPTS = 6
 # How long to wait without any worker [s]; they may be on their way from a queue. First it is said.
@@ -87,17 +84,20 @@ class Executor(ABC):
         self.close()
 
 
-@contextmanager
-def numba_threads(threads: int | None) -> Iterator[None]:
-    """Compute numba's parallel loops inside with a number of threads; None: all that numba offers."""
-    import numba
+def in_threads(kernel: Callable[..., Any], jobs: int, threads: int | None, *arguments: Any) -> None:
+    """Call a compiled ``kernel(first, last, *arguments)`` for all its jobs, in threads of this process.
 
-    before = numba.get_num_threads()
-    numba.set_num_threads(before if threads is None else max(1, min(threads, before)))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
+    Its jobs know nothing of each other, and it was compiled to release the interpreter. By default there is
+    a thread per core. Numba's own parallel loops would take two to three times as long to compile.
+    """
+    workers = max(1, min(threads or os.cpu_count() or 1, jobs))
+    # Whatever has to be compiled is compiled in this thread: Ctrl-C ends it here.
+    kernel(0, 0 if workers > 1 else jobs, *arguments)
+    if workers > 1:
+        # Several shares per thread: whoever is done first takes the next one.
+        edges = [jobs * share // (_SHARES * workers) for share in range(_SHARES * workers + 1)]
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(lambda first, last: kernel(first, last, *arguments), edges, edges[1:]))
 
 
 class LocalThreads(Executor):

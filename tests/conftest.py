@@ -1,4 +1,4 @@
-"""What tests share: the command line, small logs, and two threads also on one core."""
+"""What tests share: the command line and small logs."""
 
 import os
 import shutil
@@ -13,10 +13,6 @@ _TESTS = Path(__file__).resolve().parent
 os.environ["PYTHONPATH"] = os.pathsep.join(
     [str(_TESTS.parent), str(_TESTS), *filter(None, [os.environ.get("PYTHONPATH")])]
 )
-
-if int(os.environ.get("NUMBA_NUM_THREADS") or os.cpu_count() or 1) < 2:
-    # Many compare one thread with two; Numba reads this when it is first imported.
-    os.environ["NUMBA_NUM_THREADS"] = "2"
 
 
 @pytest.fixture

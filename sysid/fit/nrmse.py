@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from sysid.errors import FitError
 from sysid.fit.nrmse_kernels import FAILED_NRMSE, prepare_trial, score_population
-from sysid.parallel import numba_threads
+from sysid.parallel import in_threads
 from sysid.types import BoolArray, FloatArray
 
 __all__ = ["FAILED_NRMSE", "CostChannel", "FilteredNrmse", "PopulationCost", "TrialTarget", "spread"]
@@ -255,13 +255,12 @@ class FilteredNrmse:
             raise ValueError(f"reached {share.shape}, expected ({n_candidates}, {n_trials})")
         by_channel = np.empty((n_candidates, n_trials, len(self.channels)))
         failed = np.zeros((n_candidates, n_trials), dtype=np.bool_)
-        # A cluster's worker has one core: more threads would spin beside each other on it.
-        with numba_threads(threads):
-            score_population(
-                samples, share, self.offsets, self._window, self._half, self._reach, self._taps, self._rate,
-                self._left, self._right, self._share, self._column, self._is_rate,
-                self._measured, self._valid, self.denominators, self.weights, by_channel, failed,
-            )  # fmt: skip
+        in_threads(
+            score_population, n_candidates, threads,
+            samples, share, self.offsets, self._window, self._half, self._reach, self._taps, self._rate,
+            self._left, self._right, self._share, self._column, self._is_rate,
+            self._measured, self._valid, self.denominators, self.weights, by_channel, failed,
+        )  # fmt: skip
         return PopulationCost(self.mean(by_channel), by_channel, failed)
 
     def mean(self, by_channel: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ measured, valid (rows of all windows, C); denominators (T, C); weights (C,).
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 # A trial that failed at its first sample scores twice this NRMSE, one that failed at its last sample
 # just this: far above any useful fit (a constant signal scores 1), and graded for the search to climb.
@@ -51,20 +51,20 @@ def prepare_trial(
                 out[i, c] = filtered[i + reach]
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def score_population(
-    samples, reached, offsets, window, half, reach, taps, rate, left, right, share, column, is_rate,
-    measured, valid, denominators, weights, by_channel, failed,
+    first, last, samples, reached, offsets, window, half, reach, taps, rate, left, right, share, column,
+    is_rate, measured, valid, denominators, weights, by_channel, failed,
 ):  # fmt: skip
-    """Fill by_channel (P, T, C) and failed (P, T); see `sysid.fit.nrmse.FilteredNrmse`."""
+    """Fill by_channel (P, T, C) and failed (P, T) of candidates first:last; see `FilteredNrmse`."""
     n_trials = offsets.size - 1
     n_channels = column.size
     longest = 0
     for t in range(n_trials):
         longest = max(longest, offsets[t + 1] - offsets[t])
-    for p in prange(samples.shape[0]):
-        work = np.empty((2, longest))
-        signals = np.empty((longest, n_channels))
+    work = np.empty((2, longest))
+    signals = np.empty((longest, n_channels))
+    for p in range(first, last):
         for t in range(n_trials):
             complete = reached[p, t] >= 1.0
             progress = min(max(reached[p, t], 0.0), 1.0)

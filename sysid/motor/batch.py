@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from sysid.errors import FitError
 from sysid.motor import kernel
 from sysid.motor.model import PARAMETERS, TOLERANCE, kernel_rows, schedule, supply
-from sysid.parallel import numba_threads
+from sysid.parallel import in_threads
 from sysid.types import FloatArray, IntArray
 
 
@@ -122,10 +122,10 @@ def simulate_population(
     outputs = np.empty((len(rows), trials.time.size, 2))
     status = np.empty((len(rows), len(trials)), dtype=np.int64)
     reached = np.empty(status.shape)
-    with numba_threads(threads):
-        kernel.integrate_population(
-            kernel_rows(rows), trials.delays(len(rows), delays), *trials.excitation, trials.time,
-            trials.edges, trials.first, trials.starts, trials.initial, tolerance, ideal_reversal, outputs,
-            status, reached,
-        )  # fmt: skip
+    in_threads(
+        kernel.integrate_population, status.size, threads,
+        kernel_rows(rows), trials.delays(len(rows), delays), *trials.excitation, trials.time,
+        trials.edges, trials.first, trials.starts, trials.initial, tolerance, ideal_reversal, outputs,
+        status, reached,
+    )  # fmt: skip
     return PopulationResult(outputs, status, reached)

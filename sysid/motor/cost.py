@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from sysid.errors import FitError
 from sysid.fit.nrmse import FAILED_NRMSE, Denominator, spread
-from sysid.parallel import numba_threads
+from sysid.parallel import in_threads
 from sysid.types import BoolArray, FloatArray, IntArray
 
 CHANNELS = ("stator_torque", "speed")
@@ -119,8 +119,10 @@ class BenchCost:
     ) -> tuple[FloatArray, BoolArray]:
         by_channel = np.empty((len(samples), len(self.targets), 2))
         failed = np.zeros(by_channel.shape[:2], dtype=np.bool_)
-        with numba_threads(threads):
-            _score(samples, reached, sensors, *self._prepared, by_channel, failed, signals)
+        in_threads(
+            _score, failed.size, threads,
+            samples, reached, sensors, *self._prepared, by_channel, failed, signals,
+        )  # fmt: skip
         return by_channel, failed
 
 
@@ -185,13 +187,13 @@ def _compared(part, sensors, taps, time, start, step, out):
             out[i, c] = signal[m] + share * (signal[m + 1] - signal[m])
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def _score(
-    samples, reached, sensors, rows, grid, tap_first, taps, time, measured, valid, start, step, denominators,
-    weights, by_channel, failed, signals,
+    first_job, last_job, samples, reached, sensors, rows, grid, tap_first, taps, time, measured, valid, start,
+    step, denominators, weights, by_channel, failed, signals,
 ):  # fmt: skip
     n_trials, wanted = start.size, signals.shape[0] > 0
-    for job in prange(samples.shape[0] * n_trials):
+    for job in range(first_job, last_job):
         p = job // n_trials
         t = job % n_trials
         complete = reached[p, t] >= 1.0

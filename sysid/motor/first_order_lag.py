@@ -15,6 +15,7 @@ import numpy as np
 from sysid.motor.batch import SimulatedTrials
 from sysid.motor.lag_kernel import READS, lag_population
 from sysid.motor.parameters import instrument_rows
+from sysid.parallel import in_threads
 from sysid.parameters import Parameter, ParameterTable
 from sysid.types import FloatArray
 
@@ -67,5 +68,6 @@ def simulate_lag(rows: FloatArray, trials: SimulatedTrials, delays: FloatArray |
     reads = np.ascontiguousarray(rows[:, [index[name] for name in READS]], dtype=np.float64)
     out = np.empty((len(rows), trials.time.size, 2))
     shifts = trials.delays(len(rows), delays)
-    lag_population(reads, shifts, *trials.excitation, trials.time, trials.first, out)
+    excitation = trials.excitation
+    in_threads(lag_population, shifts.size, None, reads, shifts, *excitation, trials.time, trials.first, out)
     return out

@@ -28,7 +28,7 @@ product.
 from math import inf, sqrt
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from sysid.motor.dense_output import between, integral, write_charge, write_cubic, write_states
 
@@ -441,10 +441,10 @@ def integrate(
     return status, (t - begin) / span, tried
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def integrate_population(
-    rows, delays, command_time, command, command_first, supply_time, supply_ratio, supply_first,
-    samples, edges, first, starts, initial, tolerance, ideal, out, status, reached,
+    first_job, last_job, rows, delays, command_time, command, command_first, supply_time, supply_ratio,
+    supply_first, samples, edges, first, starts, initial, tolerance, ideal, out, status, reached,
 ):  # fmt: skip
     """Simulate every candidate on every trial: stator torque averaged over each cell, speed at its sample.
 
@@ -454,7 +454,7 @@ def integrate_population(
     no bit of the result.
     """
     n_trials = starts.size
-    for job in prange(rows.shape[0] * n_trials):
+    for job in range(first_job, last_job):
         i = job // n_trials
         j = job % n_trials
         row = rows[i].copy()

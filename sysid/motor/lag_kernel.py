@@ -2,7 +2,7 @@
 
 from math import exp, log
 
-from numba import njit, prange
+from numba import njit
 
 # What the equation reads of the table, by name: the layout of a kernel's row.
 READS = (
@@ -53,13 +53,13 @@ def _advance(speed, target, duration, rise, fall, step, rise_kept, fall_kept):
     return target + (speed - target) * kept
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def lag_population(
-    rows, delays, command_time, command, command_first, supply_time, supply_ratio, supply_first, time, first,
-    out,
+    first_job, last_job, rows, delays, command_time, command, command_first, supply_time, supply_ratio,
+    supply_first, time, first, out,
 ):  # fmt: skip
     n_trials = first.size - 1
-    for job in prange(rows.shape[0] * n_trials):
+    for job in range(first_job, last_job):
         i = job // n_trials
         j = job % n_trials
         row = rows[i]

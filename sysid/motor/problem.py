@@ -6,12 +6,12 @@ after it with all other values fixed, takes no part in trust.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numba
 import numpy as np
 
 from sysid.campaign import MotorCampaign
@@ -144,7 +144,7 @@ class MotorProblem(Problem):
     def score(self, rows: FloatArray) -> Scores:
         """Simulate and score rows (P, n_table) [SI]; rows of the model's table alone have one delay."""
         rows = self.complete(rows)
-        threads = min(self.threads or numba.get_num_threads(), numba.get_num_threads())
+        threads = self.threads or os.cpu_count() or 1
         share = max(1, threads, int(threads * _MEMORY / (16 * self.jobs.time.size)))
         parts = [rows[first : first + share] for first in range(0, len(rows), share)]
         scored = [self.cost(*self.simulate(part), self.sensors(part), self.threads) for part in parts]

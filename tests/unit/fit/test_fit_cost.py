@@ -1,6 +1,9 @@
 """The NRMSE: hand numbers, MATLAB's definition, and the compiled population cost against its slow twin."""
 
-import numba
+import threading
+import time
+from itertools import chain
+
 import numpy as np
 import pytest
 
@@ -168,7 +171,6 @@ def test_thread_count_and_neighbours_do_not_change_a_bit():
     rng = np.random.default_rng(11)
     cost, _, _ = gear_cost(rng)
     samples = np.stack([smooth(rng, cost.n_total, 3) for _ in range(17)])
-    assert numba.config.NUMBA_NUM_THREADS >= 2, "one thread cannot be compared with one"
     one, two = cost(samples, threads=1), cost(samples, threads=2)
     assert np.array_equal(one.by_channel, two.by_channel)
     assert np.array_equal(cost(samples[::-1]).cost[::-1], two.cost)
@@ -227,11 +229,18 @@ def test_refusals_name_trial_and_channel():
 def test_scoring_keeps_to_the_threads_that_it_is_given(monkeypatch):
     trial = TrialTarget("a", np.arange(6.0)[:, None])
     scorer = FilteredNrmse([trial], [CostChannel("x", "m", 0)])
-    samples, before = np.ones((2, scorer.n_total, 1)), numba.get_num_threads()
-    asked, inside = [], []
-    monkeypatch.setattr(numba, "set_num_threads", asked.append)
-    monkeypatch.setattr(module, "score_population", lambda *arguments: inside.append(list(asked)))
+    samples, ours, shares = np.ones((50, scorer.n_total, 1)), threading.get_ident(), []
+
+    def score(first, last, *_):
+        shares.append((threading.get_ident(), range(first, last)))
+        time.sleep(0.01)
+
+    monkeypatch.setattr(module, "score_population", score)
     scorer(samples, threads=1)
-    assert inside == [[1]]
-    # Whoever calls next finds what was there before.
-    assert asked == [1, before]
+    assert shares == [(ours, range(50))]
+    shares.clear()
+    scorer(samples, threads=2)
+    # Compiled in this thread, computed by two others, every candidate once.
+    assert shares.pop(0) == (ours, range(0))
+    assert len({thread for thread, _ in shares} - {ours}) == 2
+    assert sorted(chain(*(share for _, share in shares))) == list(range(50))
