@@ -149,18 +149,30 @@ class SetsDocument(SetsHead):
 _SAME = ("kind", "name", "parameters", "settings", "provenance", "warnings")
 # Keys of a result's settings: numbers that the data determine only in combination, and those combinations.
 NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
+# Interval, open ends, verdict and doubt of every free parameter, where a fit was assessed.
+INTERVALS = "intervals"
 
 
 def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
     """Return what a table prints instead of a number that the data do not determine; None where they do.
 
-    The bound of the profile replaces a parameter that lies below it. A parameter that rests on a guessed
-    scale has no digits but the guess's.
+    The bound of the profile replaces a parameter that lies below it; the interval replaces one that is not
+    identifiable. A parameter that rests on a guessed scale has no digits but the guess's.
     """
     if name in settings.get(NOT_ALONE, ()):
         return "not fixed"
     profile = settings.get("profiles", {}).get(name)
-    return f"< {profile['below']:.0e}" if profile and not profile["identified"] else None
+    if profile and not profile["identified"]:
+        return f"< {profile['below']:.0e}"
+    known = settings.get(INTERVALS, {}).get(name)
+    if not known or not known["verdict"].startswith("not_"):
+        return None
+    if known["verdict"] == "not_interpretable":
+        return "not interpretable"
+    (low, high), (below, above) = known["interval_95"], known["open_95"]
+    if below and above:
+        return "not fixed"
+    return f"≤ {high:.2g}" if below else f"≥ {low:.2g}" if above else f"{low:.2g} to {high:.2g}"
 
 
 def parameter_records(

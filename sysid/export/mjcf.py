@@ -25,7 +25,7 @@ MuJoCo knows one coefficient: it gets the kinetic one.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +83,7 @@ def to_mjcf(
     slope: float = 0.0,
     per_leg: bool = False,
     timestep: float | None = None,
+    notes: Sequence[str] = (),
 ) -> bytes:
     """Return the MJCF document of one gear set.
 
@@ -98,6 +99,8 @@ def to_mjcf(
         Four legs in space, each with half the values of its pair, instead of one planar leg per pair.
     timestep : float, optional
         [s]; by default short enough for the ringing of a foot on the ground, 0.1 ms or less.
+    notes : sequence of str
+        Become comments.
 
     Raises
     ------
@@ -132,7 +135,8 @@ def to_mjcf(
     return document(
         "mjcf.xml.j2",
         values={key: value for key, value in values.items() if math.isfinite(value)},
-        name=name, slope=slope, per_leg=per_leg, timestep=step, impratio=ratio, friction_rate=rate,
+        name=name, notes=list(notes),
+        slope=slope, per_leg=per_leg, timestep=step, impratio=ratio, friction_rate=rate,
         impedance=_IMPEDANCE, foot_radius=_FOOT_RADIUS, legs=legs, thrust_points=thrust_points,
         solref=[(-leg.ground[0] * a, -leg.ground[1] * a) for leg, a in zip(legs, inverse, strict=True)],
         body_inertia=_body_inertia(values, per_leg), rest_angle=_rest_angle(values),

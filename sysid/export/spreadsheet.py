@@ -16,7 +16,7 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import ExportError
-from sysid.parameter_sets import ParameterSets, SetsMetadata
+from sysid.parameter_sets import INTERVALS, ParameterSets, SetsMetadata
 
 SIGNATURE = b"row,name,symbol,unit,status,"
 # A spreadsheet takes a text that begins so for a formula; an apostrophe is doubled, to be read back.
@@ -24,6 +24,8 @@ _COMPUTED = ("=", "+", "-", "@", "\t", "\r", "'")
 _FIXED = ("row", "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "mean", "sigma")
 _TEXTS = ("name", "symbol", "unit", "status", "meaning", "source", "group", "trial")
 _NUMBERS = ("lower", "upper", "nominal", "stated_sigma")
+# For people; the settings state the same, with open ends.
+_INTERVAL = ("interval_low", "interval_high", "verdict")
 _RECORD = (*_TEXTS, *_NUMBERS, "scale")
 
 
@@ -32,7 +34,7 @@ def to_csv(sets: ParameterSets) -> bytes:
     n_sets = len(sets)
     columns = [
         *_FIXED, *(f"set_{s + 1}" for s in range(n_sets)), *(f"at_bound_{s + 1}" for s in range(n_sets)),
-        "measured_low", "measured_high", "stated_sigma", "meaning", "source", "group", "trial",
+        *_INTERVAL, "measured_low", "measured_high", "stated_sigma", "meaning", "source", "group", "trial",
     ]  # fmt: skip
     metadata, mean, sigma = sets.metadata().model_dump(), sets.mean, sets.sigma
     records = metadata.pop("parameters")
@@ -45,6 +47,8 @@ def to_csv(sets: ParameterSets) -> bytes:
         row |= {"mean": float(mean[i]), "sigma": float(sigma[i])}
         if record["measured_range"] is not None:
             row["measured_low"], row["measured_high"] = record["measured_range"]
+        if known := sets.settings.get(INTERVALS, {}).get(record["name"]):
+            row |= dict(zip(_INTERVAL, (*known["interval_95"], known["verdict"]), strict=True))
         row |= {f"at_bound_{s + 1}": int(flag) for s, flag in enumerate(sets.at_bound[:, i])}
         rows.append(row | _by_set(sets.values[:, i]))
     rows.append({"row": "nrmse_mean", "unit": "1"} | _by_set(sets.nrmse))

@@ -48,13 +48,18 @@ def write_fit(result: FitResult, path: str | Path, force: bool = False) -> Path:
     """
     path = Path(path)
     sets = result.parameter_sets()
-    text = FitDocument(**vars(sets.document())).text()
+    text = fit_text(result)
     numbers = FIT_FILE.content(lambda file: _write_numbers(file, result, sets))
     with replaced_folder(path, force=force, marker="fit.h5", error_type=FitError) as folder:
         (folder / "fit.h5").write_bytes(numbers)
         (folder / "fit.json").write_text(text, encoding="utf-8", newline="\n")
         (folder / "summary.txt").write_text(summary(result), encoding="utf-8", newline="\n")
     return path
+
+
+def fit_text(result: FitResult) -> str:
+    """Return the text of ``fit.json``."""
+    return FitDocument(**vars(result.parameter_sets().document())).text()
 
 
 def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from sysid.documents import channel_symbol
-from sysid.parameter_sets import COMBINATIONS, ParameterRecord, ParameterSets, in_place_of_digits
+from sysid.parameter_sets import COMBINATIONS, INTERVALS, ParameterRecord, ParameterSets, in_place_of_digits
 from sysid.report.table import (
     NONE,
     Cell,
     Table,
     Tone,
     half_width,
+    interval,
     listed,
     mean_sigma,
     name_and_unit,
@@ -152,6 +153,15 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
             return NONE
         return f"{rounded(free.lower)} to {rounded(free.upper)}"
 
+    known = fits[0].settings.get(INTERVALS, {}) if len(fits) == 1 else {}
+
+    def certain(text: Callable[[Mapping[str, Any]], str]) -> Callable[[MeanRow], str]:
+        return lambda row: text(known[row.record.name]) if row.record.name in known else NONE
+
+    judged = (
+        numbers("95 % interval", certain(lambda found: interval(found, 95))),
+        words("verdict", certain(lambda found: found["verdict"].replace("_", " "))),
+    )
     return table(
         "measured and identified parameters (mean ± σ of the sets)",
         mean_table(*fits),
@@ -159,6 +169,7 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
             words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
             # The fits first: a phone shows the left of a table.
             *(numbers(sets.name, partial(fitted, k)) for k, sets in enumerate(fits)),
+            *(judged if known else ()),
             # A range of no width is one value.
             words("measured", lambda row: " to ".join(dict.fromkeys(map(rounded, row.measured))) or NONE),
             words("bounds", bounds),

@@ -94,6 +94,14 @@ def percent(value: float | None, digits: int = 2) -> str:
     return NONE if value is None or not math.isfinite(value) else f"{100 * value:.{digits}f}"
 
 
+def interval(row: Any, level: int) -> str:
+    """Return the 68 % or 95 % interval of a parameter; an end that the data leave open is not printed."""
+    (low, high), (below, above) = map(rounded, row[f"interval_{level}"]), row[f"open_{level}"]
+    if below and above:
+        return "open"
+    return f"≤ {high}" if below else f"≥ {low}" if above else f"{low} to {high}"
+
+
 def half_width(value: float) -> str:
     """Return a relative half-width in percent; beyond ten times the value its digits mean nothing."""
     if not math.isfinite(value):

@@ -20,6 +20,7 @@ from sysid.report.table import (
     TableColumn,
     Tone,
     half_width,
+    interval,
     listed,
     mean_sigma,
     name_and_unit,
@@ -52,14 +53,6 @@ def _open_note(rows: Sequence[Row], level: int) -> list[str]:
 def verdict_words(verdict: str) -> str:
     """Return a verdict of `sysid.trust.verdicts` as it reads after a parameter."""
     return _VERDICTS.get(verdict, verdict.replace("_", " "))
-
-
-def interval(row: Row, level: int) -> str:
-    """Return the 68 % or 95 % interval of a parameter; an end that the data leave open is not printed."""
-    (low, high), (below, above) = map(rounded, row[f"interval_{level}"]), row[f"open_{level}"]
-    if below and above:
-        return "open"
-    return f"≤ {high}" if below else f"≥ {low}" if above else f"{low} to {high}"
 
 
 def _span(ends: Sequence[float] | None) -> str:

@@ -15,9 +15,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import ConfigDict, Field
 
@@ -25,11 +26,13 @@ from sysid.documents import Document, Open, OpenMapping, Part
 from sysid.errors import FitError
 from sysid.fit.adequacy import Adequacy
 from sysid.fit.provenance import CampaignFile
+from sysid.parameter_sets import INTERVALS, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_file
 
 TRUST, CROSS_VALIDATION, VALIDATION = "trust", "cross-validation", "validation-"
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Sets = TypeVar("Sets", bound=SetsContent)
 Flags = Annotated[list[bool], Field(min_length=2, max_length=2)]
 
 
@@ -191,7 +194,7 @@ class TrustPart(Document):
 class TrustDocument(TrustPart):
     """``trust.json``: intervals, verdicts and influence of trials."""
 
-    adequacy: Adequacy
+    adequacy: Adequacy | None = None
     parameters: list[FreeParameter]
     correlation: list[list[float]]
     noise: Noise
@@ -344,6 +347,16 @@ def parts(folder: Path) -> tuple[str, ...]:
     """Return the documents in a fit folder, whether or not the fit has changed since."""
     stems = sorted(path.stem for path in folder.glob("*.json") if (folder / f"{path.stem}.h5").is_file())
     return tuple(name for name in stems if name in (TRUST, CROSS_VALIDATION) or name.startswith(VALIDATION))
+
+
+def with_intervals(sets: Sets, folder: Path) -> Sets:
+    """Return the sets of a fit folder; settings state interval and verdict where the fit was assessed."""
+    document = read_part(folder, TRUST) if folder.is_dir() else None
+    if document is None:
+        return sets
+    keys = ("interval_95", "open_95", "verdict", "doubt")
+    rows = {row["name"]: {key: row[key] for key in keys} for row in document["parameters"]}
+    return replace(sets, settings={**sets.settings, INTERVALS: rows})
 
 
 def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:

@@ -216,7 +216,7 @@ def gradient_noise(
     blocks: Sequence[Block],
     jacobian: FloatArray,
     scale: FloatArray,
-    levels: FloatArray,
+    levels: Sequence[float] | FloatArray,
     noise: NoiseModel,
     disturbances: FloatArray,
 ) -> FloatArray:

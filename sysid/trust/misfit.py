@@ -1,10 +1,11 @@
 """Intervals where the model is wrong: what is left is not noise, and more samples do not average it away.
 
 The sandwich covariance of `sysid.trust.linearized` takes the residuals of two trials as independent. What a
-model lacks pushes every trial, and often the same way. Where noise does not explain the trials, a parameter's
-deviation is therefore the largest of
+model lacks pushes every channel of every trial, and often the same way. Where noise does not explain the
+trials, a parameter's deviation is therefore the largest of
 
-* the sum, not the root of the sum of squares, of what the residuals of each trial may move it by;
+* the sum, not the root of the sum of squares, of what the residuals of each channel of each trial, as long as
+  they last, may move it by;
 * the jackknife over trials (Efron & Stein 1981), which sees how trials disagree;
 * what leaving any single trial out moves it by;
 
@@ -21,7 +22,6 @@ from scipy.stats import t as student
 
 from sysid.fit.problem import Problem
 from sysid.trust.linearized import NORMAL_95, Linearized, gradient_noise, half_widths
-from sysid.trust.problem import trial_rows
 from sysid.types import FloatArray
 
 # Degrees of freedom, at least: steps inside one log repeat as trials do.
@@ -48,18 +48,18 @@ def misfit_factor(problem: Problem, linear: Linearized, without: FloatArray) -> 
     """Return by what the deviation of every parameter (n,) grows where noise does not explain the trials."""
     count, known = len(problem.trials), linear.information
     inverse = np.linalg.pinv(known.curvature, rcond=1e-12, hermitian=True)
-    moves = np.zeros((count, len(linear.point)))
-    changes = problem.disturbances(linear.point)
-    for t in range(count):
-        rows = trial_rows(problem.blocks, np.eye(count)[t][None], len(linear.scale))[0]
+    moves = np.zeros(len(linear.point))
+    changes, nothing = problem.disturbances(linear.point), np.zeros((0, len(linear.scale)))
+    for block, level in zip(problem.blocks, linear.levels, strict=True):
         spread = gradient_noise(
-            problem.blocks, linear.jacobian.values * rows[:, None], linear.scale, linear.levels, linear.noise,
-            changes,
+            [block], linear.jacobian.values, linear.scale, [level], linear.noise, nothing
         )  # fmt: skip
-        moves[t] = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0))
-    apart = np.maximum(np.sqrt(np.sum(moves**2, axis=0)), 1e-300)
+        moves += np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0))
+    pushed = inverse @ linear.jacobian.values.T @ (changes * linear.scale).T
+    moves = np.hypot(moves, np.sqrt(np.sum(pushed**2, axis=1)))
+    sandwich = np.sqrt(np.diag(inverse @ known.gradient_noise @ inverse))
     quantile = float(student.ppf(0.975, max(count - 1, _LEAST_FREEDOM))) / NORMAL_95
-    together = quantile * moves.sum(axis=0) / apart
+    together = quantile * moves / np.maximum(sandwich, 1e-300)
     if not len(without) or not np.isfinite(without).all():
         return np.asarray(together)
     scatter = np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0))

@@ -11,7 +11,8 @@ from sysid.export.gazebo import MotorPlugin, to_sdf
 from sysid.export.mjcf import to_mjcf
 from sysid.gear.surfaces import find_surface
 from sysid.motor.nearest_lag import first_order_rotor
-from sysid.parameter_sets import ParameterSets
+from sysid.parameter_sets import INTERVALS, ParameterSets
+from sysid.report.table import interval
 from sysid.storage import check_file, write_file
 from sysid.workflows.show import load_sets
 
@@ -71,13 +72,29 @@ def _model_files(
 def _gear(sets: ParameterSets, rank: int, slope: float, per_leg: bool) -> bytes:
     sticks = find_surface(str(sets.settings.get("surface", "lf"))).switching
     name = f"{sets.name} set {rank}"
-    return to_mjcf(sets.set_values(rank), name=name, sticks=sticks, slope=slope, per_leg=per_leg)
+    return to_mjcf(
+        sets.set_values(rank), name=name, sticks=sticks, slope=slope, per_leg=per_leg, notes=_certainty(sets)
+    )
+
+
+def _certainty(sets: ParameterSets) -> list[str]:
+    """Return what a reader of a model must know: does noise explain the fit, what is each value worth."""
+    out = []
+    if judged := sets.provenance.get("adequacy"):
+        out.append(f"Fit {judged['sentence']}.")
+    rows = sets.settings.get(INTERVALS, {})
+    records = {record.name: record for record in sets.parameters}
+    for name, row in rows.items():
+        unit, verdict = records[name].unit, row["verdict"].replace("_", " ")
+        out.append(f"{name} [{unit}]: 95 % interval {interval(row, 95)}, {verdict}.")
+    return out
 
 
 def _motor(sets: ParameterSets, rank: int) -> bytes:
     rotor = first_order_rotor(sets.known_values(rank))
     notes = [
         f"{sets.name}, set {rank} of {len(sets)}.",
+        *_certainty(sets),
         f"Time constants: the lag nearest to the motor's response to command steps up and down around "
         f"hover, off by {100 * rotor.misfit_up:.1f} % and {100 * rotor.misfit_down:.1f} % of a step (rms).",
         f"Thrust: {100 * rotor.thrust_misfit:.1f} % of the largest off the identified curve at worst.",

@@ -54,6 +54,6 @@ def first_fit(
     """
     options = FitOptions(
         Path(out), force=True, quiet=True, runs=runs, max_generations=max_generations,
-        finish="none" if max_generations is not None else None,
+        finish="none" if max_generations is not None else None, trust=max_generations is None,
     )  # fmt: skip
     return open_report(fit_campaign(campaign, options)[1])

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sysid.campaign import FitTable
-from sysid.errors import FitError
+from sysid.errors import FitError, SysidError
 from sysid.fit.adequacy import EXPLAINED_BY, Adequacy, adequacy, misfit_finding
 from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION, breeder
 from sysid.fit.breeders.in_process import BreederApart
@@ -31,11 +31,13 @@ from sysid.fit.stopping import CutReason, Deadline, StopFlag, StopRule, stop_on_
 from sysid.fit.store import check_new_fit, write_fit
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
+from sysid.trust.documents import with_intervals
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import sentences
 from sysid.workflows.kinds import naming_campaign, open_campaign
-from sysid.workflows.options import FitOptions
+from sysid.workflows.options import FitOptions, TrustOptions
 from sysid.workflows.provenance import fit_identity, processor, provenance
+from sysid.workflows.trust import assess_fit
 
 # Runs that share a cluster at the same time: while one breeds, the others keep its workers busy.
 _RUNS_AT_ONCE = 8
@@ -151,7 +153,15 @@ def fit_campaign(
         if outcome.cut is None:
             # What is done needs no checkpoint any more.
             checkpoint.discard()
-        return result, written
+    if options.trust and outcome.cut is None:
+        # Resamples would take longer than all else, and no interval rests on them.
+        try:
+            assess_fit(written, TrustOptions(resamples=0, threads=options.threads, dask=options.dask), say)
+        except SysidError as error:
+            # The fit is whole without: a campaign that was moved meanwhile must not look like a failure.
+            (say or print)(f"warning: no intervals ({error}); run sysid trust {written}")
+        result = with_intervals(result, written)
+    return result, written
 
 
 def _add_doubts(journal: Journal, doubts: Iterable[Finding]) -> None:

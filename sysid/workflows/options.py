@@ -254,6 +254,10 @@ class FitOptions:
     dask: Dask = None
     check: Annotated[bool, Flag("First say what the trials should determine.", "--check/--no-check")] = True
 
+    trust: Annotated[
+        bool, Flag("Last find the interval of every parameter, as sysid trust does.", "--trust/--no-trust")
+    ] = True
+
     def __post_init__(self) -> None:
         if self.dask is not None:
             object.__setattr__(self, "threads", 1)

@@ -17,6 +17,7 @@ from sysid.report.drawing import save_figure
 from sysid.report.fit_report import FitReport
 from sysid.report.snapshots import check_film, write_film
 from sysid.storage import write_file
+from sysid.trust.documents import with_intervals
 from sysid.workflows.kinds import find_report
 from sysid.workflows.options import ReportOptions
 from sysid.workflows.predict import predicted_fit
@@ -28,7 +29,8 @@ def open_report(fit: str | Path, against: str | Path | None = None) -> FitReport
 
     Raises `FitError` when there is no fit.
     """
-    folder, result = fit_folder(Path(fit)), read_fit(fit)
+    folder = fit_folder(Path(fit))
+    result = with_intervals(read_fit(fit), folder)
     report: FitReport = find_report(result.kind)(folder, result, read_fit(against) if against else None)
     return report
 

@@ -18,6 +18,8 @@ from sysid.report.set_tables import (
     ranked_table,
     trial_table,
 )
+from sysid.trust.documents import with_intervals
+from sysid.workflows.reopen import fit_folder
 
 
 def load_sets(path: str | Path) -> ParameterSets:
@@ -27,7 +29,7 @@ def load_sets(path: str | Path) -> ParameterSets:
     """
     path = Path(path)
     if path.is_dir() or path.name == "fit.h5":
-        return read_fit(path).parameter_sets()
+        return with_intervals(read_fit(path), fit_folder(path)).parameter_sets()
     return load_parameter_sets(path)
 
 

@@ -13,11 +13,13 @@ from sysid.errors import FitError
 from sysid.fit.adequacy import NOT_BY, misfit_finding
 from sysid.fit.problem import Words
 from sysid.fit.result import FitResult
+from sysid.fit.store import fit_text
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import Parameter, SearchSpace, about
+from sysid.storage import write_file
 from sysid.trust.assessment import FEWEST, Assessment, assess
-from sysid.trust.documents import TRUST, write_part
+from sysid.trust.documents import TRUST, with_intervals, write_part
 from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
 from sysid.trust.problem import spread_over
@@ -74,6 +76,9 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
         document["warnings"] = journal.sentences()
         document["seconds"] = time.perf_counter() - began
     write_part(opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind)
+    # No value leaves without its interval.
+    stated = fit_text(with_intervals(opened.result, opened.folder))
+    write_file(opened.folder / "fit.json", stated.encode("utf-8"), FitError)
     return document
 
 

@@ -71,7 +71,9 @@ def main():
     parser.add_argument("--finish")
     chosen = vars(parser.parse_args())
     problems, path = chosen.pop("problems"), chosen.pop("json")
-    options = FitOptions(quiet=True, **{name: value for name, value in chosen.items() if value is not None})
+    options = FitOptions(
+        quiet=True, **{name: value for name, value in chosen.items() if value is not None}, trust=False
+    )
     results = {}
     for problem in problems:
         with tempfile.TemporaryDirectory() as folder:

@@ -37,7 +37,7 @@ from sysid.workflows.options import FitOptions
 from sysid.workflows.provenance import processor
 
 CAMPAIGNS = {name: SAMPLES / name / "campaign.toml" for name in ("gear-lf", "gear-hf", "motor")}
-SMALL = {"population": 16, "runs": 2, "max_generations": 4, "quiet": True, "check": False}
+SMALL = {"population": 16, "runs": 2, "max_generations": 4, "quiet": True, "check": False, "trust": False}
 # Variables of the environment with which the same libraries may round otherwise.
 _SWITCHES = ("NPY_", "OPENBLAS_", "NUMBA_CPU_")
 _LIBRARIES = ("numpy", "numba", "llvmlite", "scipy", "pymoo", "cma", "pandas")
@@ -270,7 +270,18 @@ _DROP = SAMPLES / "gear-lf" / "drop-1-5deg-0.50mps.csv"
 def json_keys():
     """Return the keys of what every cheap command prints with ``--json``."""
     lf, other, bench = own_copy("gear-lf"), own_copy("gear-lf"), own_copy("motor")
-    small = ("--population", 8, "--runs", 1, "--max-generations", 1, "--finish", "none", "--no-check")
+    small = (
+        "--population",
+        8,
+        "--runs",
+        1,
+        "--max-generations",
+        1,
+        "--finish",
+        "none",
+        "--no-check",
+        "--no-trust",
+    )
     bench_logs = [SAMPLES / "motor" / log for log in ("forward-1.csv", "reverse-1.h5", "static-forward.csv")]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

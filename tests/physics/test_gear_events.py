@@ -176,7 +176,7 @@ def test_a_third_law_is_one_declaration(monkeypatch, tmp_path):
     folder = synthesize_gear(tmp_path / "drops", seed=1, surface="wet", drops=LF_DROPS[:2])
     campaign = folder / "campaign.toml"
     assert 'law = "wet"' in campaign.read_text(encoding="utf-8")
-    fit = ["fit-gear", campaign, "--out", tmp_path / "fit", "--population", 16, "--runs", 1]
+    fit = ["fit-gear", campaign, "--out", tmp_path / "fit", "--population", 16, "--runs", 1, "--no-trust"]
     fit += ["--max-generations", 2, "--finish", "none", "--surface", "wet", "--quiet"]
     done = CliRunner().invoke(app, [str(word) for word in fit])
     assert done.exit_code == 0, done.output

@@ -223,7 +223,9 @@ def test_cell_and_tachometer_are_one_trial(cell_and_tachometer):
 
 def test_the_offset_is_in_the_record_of_a_fit(cell_and_tachometer):
     folder = cell_and_tachometer.with_name("fit")
-    options = FitOptions(folder, population=8, runs=1, max_generations=1, finish="none", quiet=True)
+    options = FitOptions(
+        folder, population=8, runs=1, max_generations=1, finish="none", quiet=True, trust=False
+    )
     fit_motor(cell_and_tachometer, options)
     second = read_fit(folder).provenance["logs"]["forward-1"]["second_log"]
     assert second["log"] == "tach.csv"

@@ -142,7 +142,9 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
     folder = synthesize_gear(tmp_path / "drops", seed=1, noise_position=0.05e-3, noise_angle=radians(0.05))
     campaign, drops, truth = opened(folder)
     floor = float(score_values(campaign, used(drops), truth).cost[0])
-    options = FitOptions(out=tmp_path / "fit", algorithm="ga", population=800, finish="cmaes", quiet=True)
+    options = FitOptions(
+        out=tmp_path / "fit", algorithm="ga", population=800, finish="cmaes", quiet=True, trust=False
+    )
     result, _ = fit_gear(folder / "campaign.toml", options)
     plain = np.array([run.stages[0].cost.min() for run in result.runs])
     print(f"truth {floor:.4%}, sets {result.nrmse}, of the GA alone {plain}, excess {_excess(plain, floor)}")
@@ -161,13 +163,15 @@ def test_full_noise_plain_and_finished(tmp_path):
     campaign, drops, truth = opened(folder)
     floor = float(score_values(campaign, used(drops), truth).cost[0])
     path = folder / "campaign.toml"
-    paper = FitOptions(out=tmp_path / "plain", algorithm="ga", population=400, finish="none", quiet=True)
+    paper = FitOptions(
+        out=tmp_path / "plain", algorithm="ga", population=400, finish="none", quiet=True, trust=False
+    )
     plain, _ = fit_gear(path, paper)
     print(f"truth {floor:.4%}, plain GA {plain.nrmse}, excess {_excess(plain.nrmse, floor)}")
     # Eight free parameters soak up some of 900 noisy samples per channel: about 2 % of the truth's NRMSE.
     assert plain.nrmse[0] > 0.97 * floor
     assert _excess(plain.nrmse, floor)[0] < 0.08
-    finished, _ = fit_gear(path, FitOptions(out=tmp_path / "finished", quiet=True))
+    finished, _ = fit_gear(path, FitOptions(out=tmp_path / "finished", quiet=True, trust=False))
     print(f"finished {finished.nrmse}")
     assert len(finished.nrmse) == 5
     assert np.all(finished.nrmse > 0.97 * floor)

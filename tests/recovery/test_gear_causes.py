@@ -151,7 +151,7 @@ def test_a_fit_counts_them_by_cause(folder, tmp_path):
     path.write_text(text, encoding="utf-8")
     options = FitOptions(
         out=tmp_path / "fit", population=24, runs=1, max_generations=2, algorithm="ga", finish="none",
-        quiet=True,
+        quiet=True, trust=False
     )  # fmt: skip
     result, out = fit_gear(path, options)
     counts = result.runs[0].failures

@@ -55,7 +55,7 @@ def fitted(request, tmp_path_factory):
     surface = request.param
     folder = synthesize_gear(tmp_path_factory.mktemp("fit") / surface, seed=1, surface=surface)
     options = FitOptions(
-        out=folder / "result", algorithm="ga", population=400, runs=5, finish="cmaes", quiet=True
+        out=folder / "result", algorithm="ga", population=400, runs=5, finish="cmaes", quiet=True, trust=False
     )
     result, _ = fit_gear(folder / "campaign.toml", options)
     return surface, opened(folder), result
@@ -168,7 +168,7 @@ def test_two_accuracies_find_the_same_parameters(tmp_path):
     for tolerance in (3e-4, 3e-5):
         path.write_text(text.replace("[fit]\n", f"[fit]\ntolerance = {tolerance}\n"), encoding="utf-8")
         options = FitOptions(
-            out=tmp_path / f"{tolerance}", algorithm="pso", population=100, runs=1, quiet=True
+            out=tmp_path / f"{tolerance}", algorithm="pso", population=100, runs=1, quiet=True, trust=False
         )
         result, _ = fit_gear(path, options)
         assert result.settings["tolerance"] == tolerance

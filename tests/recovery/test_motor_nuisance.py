@@ -213,7 +213,7 @@ def test_without_a_scale_only_its_combinations_are_reported(tmp_path: Path, caps
     path = edited(_synthesize(tmp_path / "scale", 8, (*SHORT, REVERSAL)), (r"^kv = .*\n", ""))
     options = FitOptions(
         tmp_path / "fit", population=24, runs=2, max_generations=40, seed=1, quiet=True,
-        algorithm="cmaes", finish="none",
+        algorithm="cmaes", finish="none", trust=False
     )  # fmt: skip
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

@@ -94,7 +94,9 @@ def test_holes_of_a_fast_log_are_masked_not_closed_up(campaign_file: Path, prepa
 
 
 def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path: Path, capsys) -> None:
-    options = FitOptions(out=tmp_path / "fit", runs=1, population=60, max_generations=25, seed=4, quiet=True)
+    options = FitOptions(
+        out=tmp_path / "fit", runs=1, population=60, max_generations=25, seed=4, quiet=True, trust=False
+    )
     result, folder = fit_motor(campaign_file, options)
     values = result.parameter_sets().set_values(1)
     # Required: 5 %. A population of 60 for 25 generations stops near, not at, the optimum.
@@ -162,7 +164,7 @@ def test_full_fit_of_five_runs(
     path = synthesize_motor(tmp_path / "bench", seed=noise) / "campaign.toml"
     options = FitOptions(
         tmp_path / "fit", runs=5, population=population, algorithm=algorithm, finish="cmaes", seed=seed,
-        quiet=True,
+        quiet=True, trust=False
     )  # fmt: skip
     result, _ = fit_motor(path, options)
     found = {name: result.values[:, i] for i, name in enumerate(r.name for r in result.parameters)}
@@ -215,7 +217,7 @@ def test_without_reversals_the_dead_band_is_not_fitted(campaign_file: Path, tmp_
         campaign_file, lambda t: "reversal" not in t and "forward-2" not in t, "no-reversal.toml"
     )
     options = FitOptions(
-        tmp_path / "fit", population=12, runs=1, max_generations=2, quiet=True, finish="none"
+        tmp_path / "fit", population=12, runs=1, max_generations=2, quiet=True, finish="none", trust=False
     )
     result, _ = fit_motor(path, options)
     assert result.settings["saturation"]["fitted"] is False
@@ -230,7 +232,7 @@ def test_freeing_the_dead_band_needs_a_reversal_to_fit(campaign_file: Path) -> N
     free = '[parameters]\nfree = ["winding_resistance", "saturation_speed"]\n\n[fit]'
     path = with_trials(campaign_file, lambda t: "reversal" not in t, "freed.toml", (r"^\[fit\]", free))
     with pytest.raises(CampaignError, match="saturation_speed, but no reversal trial has use = 'fit'"):
-        fit_motor(path, FitOptions(campaign_file.with_name("none"), quiet=True))
+        fit_motor(path, FitOptions(campaign_file.with_name("none"), quiet=True, trust=False))
     assert not campaign_file.with_name("none").exists()
 
 

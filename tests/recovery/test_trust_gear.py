@@ -55,7 +55,9 @@ def three(tmp_path_factory):
 def fit(three, tmp_path_factory):
     """A short fit: trust refines it itself."""
     folder = tmp_path_factory.mktemp("trust") / "lf"
-    options = FitOptions(out=folder, runs=2, population=32, max_generations=20, quiet=True, check=False)
+    options = FitOptions(
+        out=folder, runs=2, population=32, max_generations=20, quiet=True, check=False, trust=False
+    )
     return fit_gear(three, options)[1]
 
 
@@ -270,7 +272,7 @@ def test_a_wrong_model_is_flagged_by_its_ratio_to_the_noise(case, tmp_path):
     else:
         path = synthesize_gear(tmp_path / "c", seed=11) / "campaign.toml"
     law = "lf" if case == "friction law" else None
-    options = FitOptions(out=tmp_path / "fit", runs=1, quiet=True, check=False)
+    options = FitOptions(out=tmp_path / "fit", runs=1, quiet=True, check=False, trust=False)
     _, folder = fit_gear(path, options, surface=law)
     found = validate_fit(folder, path)
     assert found["flagged"] is (case != "right")

@@ -43,7 +43,9 @@ def _edited(source: Path, target: Path, old: str, new: str) -> Path:
 
 
 def _fit(path: Path, out: Path, generations: int = 25) -> Path:
-    options = FitOptions(out=out, runs=1, population=32, max_generations=generations, quiet=True, check=False)
+    options = FitOptions(
+        out=out, runs=1, population=32, max_generations=generations, quiet=True, check=False, trust=False
+    )
     return fit_motor(path, options)[1]
 
 

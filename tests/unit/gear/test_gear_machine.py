@@ -105,7 +105,7 @@ from pathlib import Path
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.options import FitOptions
 options = FitOptions(out=Path(OUT), population=400, runs=2,
-                     max_generations=2, algorithm="ga", finish="cmaes", quiet=True)
+                     max_generations=2, algorithm="ga", finish="cmaes", quiet=True, trust=False)
 fit_gear(CAMPAIGN, options)
 status = Path("/proc/self/status")
 if status.exists():

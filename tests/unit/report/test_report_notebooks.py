@@ -74,7 +74,7 @@ def test_the_report_of_a_single_drop_against_the_others(fits, tmp_path):
     text = campaign.read_text(encoding="utf-8")
     head, *trials = text.split("[[trials]]")
     campaign.write_text("[[trials]]".join([head, trials[3]]), encoding="utf-8")
-    _, fit = fit_gear(campaign, FitOptions(tmp_path / "fit", **SHORT))
+    _, fit = fit_gear(campaign, FitOptions(tmp_path / "fit", **SHORT, trust=False))
     options = ReportOptions(
         against=SAMPLES / "gear-lf" / "campaign.toml", figure=tmp_path / "pdf", gif=tmp_path / "a.gif"
     )

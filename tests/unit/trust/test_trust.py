@@ -430,3 +430,26 @@ def test_one_trial_less_is_judged_by_what_a_parameter_at_its_bound_leaves_to_the
     # counts. With the second parameter held, its error of 0.1 is the first one's by 0.9: 0.11 of a cube that
     # is 2 wide (noise adds less than a percent). Both free, the first would err by 0.02, a fifth of that.
     assert expected == pytest.approx(np.full(5, np.sqrt(0.2) * 0.11 / 2), rel=0.1)
+
+
+def test_where_noise_does_not_explain_the_trials_intervals_cover_what_a_trial_less_moves():
+    designs, data = _white(n_trials=5)
+    right = assess(Linear(designs, data), np.full(2, 0.5), resamples=0)
+    assert right.adequacy.verdict == "explained"
+    assert right.linear is right.noise
+    # The model lacks a slow wave that is alike in all trials, and stronger in the last one.
+    wave = np.sin(np.linspace(0.0, 7.0, 200))[:, None]
+    wrong = Linear(designs, [y + (0.6 if t == 4 else 0.3) * wave for t, y in enumerate(data)])
+    found = assess(wrong, np.full(2, 0.5), resamples=20)
+    assert found.adequacy.verdict == "not_explained"
+    assert found.adequacy.misfit.trial == "trial-4"
+    assert "well" not in found.verdicts
+    moved = np.max(np.abs(found.without.points - found.noise.point), axis=0)
+    for i, (profile, before) in enumerate(zip(found.profiles.profiles, right.profiles.profiles, strict=True)):
+        low, high = profile.interval_95
+        # Bounds 0 to 2: a way in the unit cube is half of it in the parameter.
+        assert (high - low) / 2 > 2 * moved[i] * 0.99
+        assert high - low > 2 * (before.interval_95[1] - before.interval_95[0])
+        assert low < 1.0 < high
+    # Every resample counts.
+    assert found.resampled.converged.all()

@@ -48,7 +48,7 @@ def body_columns(lines, first):
     return slice(start, start + 4)
 
 
-SMALL = ("--population", "16", "--runs", "2", "--max-generations", "2", "--quiet")
+SMALL = ("--no-trust", "--population", "16", "--runs", "2", "--max-generations", "2", "--quiet")
 
 
 def test_fit_gear_show_export_and_read_back(drops, run, tmp_path, refused):

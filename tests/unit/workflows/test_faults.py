@@ -34,8 +34,8 @@ def campaign(tmp_path_factory):
     """A campaign, a fit of another seed that is to be replaced, and the fit that replaces it."""
     folder = tmp_path_factory.mktemp("faults")
     path = write_lag(folder, SEARCH)
-    old = fit_campaign(path, FitOptions(out=folder / "old", seed=2, quiet=True, check=False))[1]
-    new = fit_campaign(path, FitOptions(out=folder / "new", quiet=True, check=False))[1]
+    old = fit_campaign(path, FitOptions(out=folder / "old", seed=2, quiet=True, check=False, trust=False))[1]
+    new = fit_campaign(path, FitOptions(out=folder / "new", quiet=True, check=False, trust=False))[1]
     return path, old, new
 
 
@@ -53,7 +53,7 @@ def replaced(campaign, tmp_path, monkeypatch):
         shutil.copytree(old, out)
         with faulty(monkeypatch, disk):
             try:
-                fit_campaign(path, FitOptions(out=out, force=True, quiet=True, check=False))
+                fit_campaign(path, FitOptions(out=out, force=True, quiet=True, check=False, trust=False))
             except (SysidError, Killed) as error:
                 return out, error
         return out, None
@@ -65,7 +65,7 @@ def resumed(campaign, out):
     """Continue a fit, or begin it again where no state is left, and check its bits."""
     path, _, new = campaign
     resume = Checkpoint.kept(Checkpoint.folder_of(out))
-    options = FitOptions(out=out, resume=resume, force=not resume, quiet=True, check=False)
+    options = FitOptions(out=out, resume=resume, force=not resume, quiet=True, check=False, trust=False)
     fit_campaign(path, options)
     assert numbers(out) == numbers(new)
     # Nothing unfinished is left behind.

@@ -11,7 +11,18 @@ from sysid.fit.store import read_fit
 from sysid.gear import kind
 from sysid.workflows import fit as walk
 
-SMALL = ("--algorithm", "ga", "--population", "16", "--runs", "2", "--max-generations", "4", "--quiet")
+SMALL = (
+    "--no-trust",
+    "--algorithm",
+    "ga",
+    "--population",
+    "16",
+    "--runs",
+    "2",
+    "--max-generations",
+    "4",
+    "--quiet",
+)
 
 
 @pytest.fixture

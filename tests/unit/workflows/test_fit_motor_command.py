@@ -13,7 +13,18 @@ from sysid.fit.store import read_fit
 from sysid.motor import follow_up as motor_stages
 from sysid.recording import file_sha256
 
-SMALL = ("--population", "8", "--runs", "2", "--max-generations", "2", "--finish", "none", "--no-check")
+SMALL = (
+    "--no-trust",
+    "--population",
+    "8",
+    "--runs",
+    "2",
+    "--max-generations",
+    "2",
+    "--finish",
+    "none",
+    "--no-check",
+)
 CURVES = ("static-forward.csv", "static-reverse.csv", "no-load-forward.csv", "no-load-reverse.csv")
 
 LEFT_OUT = (

@@ -33,7 +33,7 @@ def fitted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hostile") / "a" / "b" / "c" / "d"
     folder.mkdir(parents=True)
     path = write_lag(folder, SEARCH, VISIBLE)
-    fit = fit_campaign(path, FitOptions(out=folder / "fit", quiet=True))[1]
+    fit = fit_campaign(path, FitOptions(out=folder / "fit", quiet=True, trust=False))[1]
     validate_fit(fit, path)
     assess_fit(fit, TrustOptions(resamples=5))
     write_report(fit, ReportOptions(figure=folder / "figures"))
@@ -44,7 +44,7 @@ def test_pages_have_no_element_of_a_name(fitted):
     _, fit = fitted
     plain = fit.parent / "plain"
     path = write_lag(fit.parent, SEARCH, [f"step-{k}" for k in range(len(VISIBLE))])
-    fit_campaign(path, FitOptions(out=plain, quiet=True))
+    fit_campaign(path, FitOptions(out=plain, quiet=True, trust=False))
     expected = Page(write_report(plain, ReportOptions())["report"].read_text(encoding="utf-8"))
     found = Page((fit / "report.html").read_text(encoding="utf-8"))
     assert (found.scripts, found.handlers, found.policies) == (expected.scripts, [], expected.policies)

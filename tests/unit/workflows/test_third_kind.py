@@ -10,7 +10,9 @@ from fakes.lag_kind import TRUE, LagProblem, write_lag
 from sysid import exact_json
 from sysid.errors import FitError, SysidWarning
 from sysid.fit.store import read_fit
+from sysid.parameter_sets import INTERVALS
 from sysid.report.trust_tables import print_check, print_trust, print_validation
+from sysid.trust.documents import TRUST, read_part
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
 from sysid.workflows.export_models import export_sets
@@ -19,6 +21,7 @@ from sysid.workflows.options import FitOptions, ReportOptions, TrustOptions
 from sysid.workflows.predict import cross_validate, validate_fit
 from sysid.workflows.reopen import open_fit
 from sysid.workflows.report import write_report
+from sysid.workflows.show import load_sets
 from sysid.workflows.trust import assess_fit
 
 
@@ -27,7 +30,7 @@ def lag(tmp_path_factory):
     """A campaign of four steps, three to fit, and its fit."""
     folder = tmp_path_factory.mktemp("lag")
     path = write_lag(folder)
-    return path, fit_campaign(path, FitOptions(out=folder / "fit", quiet=True))[1]
+    return path, fit_campaign(path, FitOptions(out=folder / "fit", quiet=True, trust=False))[1]
 
 
 def test_the_fit_finds_the_truth_and_tells_what_it_expects(lag):
@@ -82,6 +85,22 @@ def test_its_report_and_exports_are_written(lag):
         assert (folder.parent / name).stat().st_size > 0
 
 
+def test_a_fit_ends_with_intervals_that_no_export_leaves_out(tmp_path):
+    path = write_lag(tmp_path)
+    result, folder = fit_campaign(path, FitOptions(out=tmp_path / "fit", quiet=True))
+    assert read_part(folder, TRUST)["adequacy"]["verdict"] == result.provenance["adequacy"]["verdict"]
+    rows = result.settings[INTERVALS]
+    assert [*rows] == [record.name for record in result.parameters if record.status == "free"]
+    assert all(row["interval_95"][0] < row["interval_95"][1] for row in rows.values())
+    for suffix in (".json", ".csv", ".h5", ".mat"):
+        (file,) = export_sets(folder, tmp_path / f"sets{suffix}")
+        assert load_sets(file).settings[INTERVALS] == rows
+        assert load_sets(file).provenance["adequacy"] == result.provenance["adequacy"]
+    stated = exact_json.loads((folder / "fit.json").read_text(encoding="utf-8"))
+    assert exact_json.plain(stated["settings"][INTERVALS]) == exact_json.plain(rows)
+    assert "interval_low" in (tmp_path / "sets.csv").read_text(encoding="utf-8-sig").split("\n")[0]
+
+
 @pytest.mark.parametrize("change", ["edited", "deleted"])
 def test_a_campaign_that_changes_while_the_fit_runs_is_recorded_as_it_was_read(tmp_path, monkeypatch, change):
     path = write_lag(tmp_path, "runs = 1\npopulation = 24\nmax_generations = 2\n")
@@ -93,7 +112,7 @@ def test_a_campaign_that_changes_while_the_fit_runs_is_recorded_as_it_was_read(t
         return evaluate(problem, rows)
 
     monkeypatch.setattr(LagProblem, "score", meanwhile)
-    result, folder = fit_campaign(path, FitOptions(out=tmp_path / "fit", quiet=True))
+    result, folder = fit_campaign(path, FitOptions(out=tmp_path / "fit", quiet=True, trust=False))
     stated = result.provenance["campaign"]
     assert stated["text"] == read
     assert stated["sha256"] == hashlib.sha256(read.encode()).hexdigest()
@@ -126,6 +145,6 @@ def test_an_out_that_no_folder_can_be_is_refused_before_anything_is_read(
     (tmp_path / "link").symlink_to("elsewhere")
     before = sorted(tmp_path.iterdir())
     with pytest.raises(FitError, match=re.escape(words)) as refusal:
-        fit_campaign(path, FitOptions(out=Path(out), force=force, quiet=True))
+        fit_campaign(path, FitOptions(out=Path(out), force=force, quiet=True, trust=False))
     assert len(str(refusal.value)) < 250
     assert sorted(tmp_path.iterdir()) == before
