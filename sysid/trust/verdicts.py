@@ -25,7 +25,7 @@ def as_half_width(share: float) -> str:
     """Return a relative half-width as a person says it."""
     if not np.isfinite(share) or share >= 10:
         return "more than its own size"
-    return f"± {100 * share:.2g} %"
+    return f"± {100 * share:.{2 if share < 1 else 3}g} %"
 
 
 def sentences(expected: Sequence[Expected]) -> tuple[str, ...]:
