@@ -14,6 +14,7 @@ from sysid.workflows.options import (
     Argument,
     CampaignPath,
     Dask,
+    Figure,
     FitCampaign,
     FitFolder,
     FitOptions,
@@ -158,6 +159,29 @@ def compare(
     from sysid.workflows.compare import compare_fits
 
     print_comparison(*compare_fits(fits, cross=cross, threads=threads, say=unless(quiet or json)), json)
+
+
+@command(app, "ladder", "sysid ladder fits/demo/gear-lf")
+def ladder(
+    fit: FitFolder,
+    campaign: FitCampaign = None,
+    figure: Figure = None,
+    adopt: Annotated[Path | None, Flag("Write a campaign with the terms to keep to this file.")] = None,
+    threads: Threads = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Say which physics a fit's model lacks.
+
+    Adds each declared term to the model, then the best ones together, and judges them on trials left out.
+    """
+    from sysid.report.ladder import print_rungs
+    from sysid.workflows.ladder import climb_ladder
+
+    tell = unless(quiet or json)
+    document = climb_ladder(fit, campaign, adopt=adopt, force=force, threads=threads, say=tell)
+    print_rungs(document, json, figure, adopt)
 
 
 @command(app, "report", "sysid report fits/demo/gear-lf")

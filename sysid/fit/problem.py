@@ -571,6 +571,17 @@ def _no_candidates(fitted: Problem, row: FloatArray) -> tuple[Problem, Sequence[
 
 
 @dataclass(frozen=True)
+class Term:
+    """Physics that a model may be given: `parameters` of its table that are not free by default.
+
+    `title` is what a sentence calls it, ``dry friction of the joint``.
+    """
+
+    title: str
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Kind:
     """A kind of model.
 
@@ -592,6 +603,8 @@ class Kind:
         next, their titles), or None.
     under : callable
         (campaign, settings of a fit) -> (the campaign under the law of that fit, what is noticed).
+    terms : tuple of Term
+        Physics on trial, see `sysid.trust.ladder`.
     laws : tuple of str
         Settings that a user may state instead of the campaign's; `under` reads them.
     """
@@ -603,5 +616,6 @@ class Kind:
     follow_up: Callable[[Any, Course], FitOutcome] = _as_found
     candidates: Callable[[Any, FloatArray], tuple[Problem, Sequence[str]] | None] = _no_candidates
     under: Callable[[Any, Mapping[str, Any]], tuple[Any, tuple[Finding, ...]]] = _as_stated
+    terms: tuple[Term, ...] = ()
     laws: tuple[str, ...] = ()
     words: Words = Words()

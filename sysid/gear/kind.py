@@ -11,7 +11,7 @@ import numpy as np
 
 from sysid.campaign import GearCampaign
 from sysid.fit.nrmse import TrialTarget
-from sysid.fit.problem import Course, FitOutcome, Kind, Words
+from sysid.fit.problem import Course, FitOutcome, Kind, Term, Words
 from sysid.gear.drops import PreparedDrop, prepare_drops
 from sysid.gear.model import PARAMETERS
 from sysid.gear.problem import CONSTANTS, TRUST_TOLERANCE, GearProblem, gear_space, on_surface
@@ -150,6 +150,16 @@ GEAR = Kind(
     follow_up=_follow_up,
     candidates=_candidates,
     under=_under,
+    terms=(
+        Term("hardening of the axial spring", ("leg_axial_hardening",)),
+        Term("hardening of the bending spring", ("leg_bending_hardening",)),
+        Term("dry friction of the leg's slide", ("leg_slide_friction",)),
+        Term("dry friction of the joint", ("leg_joint_friction",)),
+        Term("front legs of another axial stiffness", ("front_leg_axial_stiffness_ratio",)),
+        Term("front legs of another bending stiffness", ("front_leg_bending_stiffness_ratio",)),
+        Term("ground that stiffens with the speed of approach", ("ground_rate_stiffening",)),
+        Term("aerodynamic damping of pitch", ("pitch_drag",)),
+    ),
     laws=("surface",),
     words=Words(
         trials="drops",

@@ -519,7 +519,8 @@ def _run(
     states = np.full((count, width, 3, 6), np.nan)
     marks = np.full((room, 7), np.nan)
     kernel_rows = in_kernel_order(rows, surface)
-    drive = _driver(_LANES, surface)
+    first, last = parameter_row.FIRST_TERM, len(parameter_row.NAMES)
+    drive = _driver(_LANES, surface, bool(np.any(kernel_rows[:, first:last])))
     # A method of order 3 takes tolerance**(-1/3) more steps.
     cost = surface.budget * max(1.0, surface.tolerance / tolerance) ** (1 / 3)
     workers = max(1, min(threads or os.cpu_count() or 1, count * width))

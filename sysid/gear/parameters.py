@@ -20,6 +20,12 @@ def _front(what: str, symbol: str, meaning: str) -> Parameter:
                      "1: equal legs, as in the paper; bounds guessed", "front leg")
 
 
+def _term(name: str, symbol: str, unit: str, upper: float, meaning: str) -> Parameter:
+    """Size of a term that the paper's gear lacks (`sysid.gear.kernel.terms`), zero by default."""
+    return Parameter(name, symbol, unit, 0.0, 0.0, upper, "linear", meaning,
+                     "0: none, as in the paper; bounds guessed", "term")
+
+
 PARAMETERS = ParameterTable(
     [
         Parameter("body_mass", "m_B", "kg", 1.242, 0.1, 10.0, "log",
@@ -73,6 +79,12 @@ PARAMETERS = ParameterTable(
         _front("bending_damping", "b_t", "bending damper"),
         _front("mass", "m_leg", "mass"),
         _front("inertia", "I_leg", "moment of inertia"),
+        _term("leg_axial_hardening", "κ_h", "1/m²", 3e4, "Rise of the axial spring's stiffness, κ_h h²."),
+        _term("leg_bending_hardening", "κ_t", "1/rad²", 150.0, "Rise of the bending spring's."),
+        _term("leg_slide_friction", "F_h", "N", 10.0, "Dry friction along a pair of legs."),
+        _term("leg_joint_friction", "M_t", "N·m", 0.5, "Dry friction in the joints of a pair of legs."),
+        _term("ground_rate_stiffening", "χ_s", "s/m", 3.0, "Rise of the contact force per approach."),
+        _term("pitch_drag", "c_q", "N·m·s²", 0.02, "Moment against the body's turning, c_q |q'| q'."),
     ]
 )
 # fmt: on

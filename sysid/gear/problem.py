@@ -58,7 +58,7 @@ _ONE_TOUCHDOWN = 5e-3
 # this speed [m/s] and pitch rate [rad/s].
 _FALLING, _AT_REST = 1.5, (0.1, 0.2)
 # Rows that are choices of the model rather than measurements.
-CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", *PARAMETERS.group("front leg"))
+CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", *PARAMETERS.group("front leg", "term"))
 # Motors do not run in a drop.
 _NEVER_IN_DROPS = ("thrust_point_dx",)
 

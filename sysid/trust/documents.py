@@ -1,8 +1,8 @@
 """What is known about how far a fit can be trusted: ``NAME.json`` and ``NAME.h5`` in the fit folder.
 
-Three documents: ``trust`` (one per fit), ``validation-CAMPAIGN`` (``validation-CAMPAIGN-HASH`` for a second
-campaign file of that name) and ``cross-validation``. Units are SI. The HDF5 file has arrays, each with the
-attributes ``axes`` and ``unit``:
+Four documents: ``trust``, ``ladder`` and ``cross-validation`` (one per fit), and ``validation-CAMPAIGN``
+(``validation-CAMPAIGN-HASH`` for a second campaign file of that name). Units are SI. The HDF5 file has
+arrays, each with the attributes ``axes`` and ``unit``:
 
 ``trust``: ``correlation``, ``covariance`` (unit cube), ``profiles/NAME/{value, deviance, others}`` (ascending
 values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are all free parameters),
@@ -30,7 +30,7 @@ from sysid.parameter_sets import INTERVALS, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_file
 
-TRUST, CROSS_VALIDATION, VALIDATION = "trust", "cross-validation", "validation-"
+TRUST, CROSS_VALIDATION, LADDER, VALIDATION = "trust", "cross-validation", "ladder", "validation-"
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Sets = TypeVar("Sets", bound=SetsContent)
 Flags = Annotated[list[bool], Field(min_length=2, max_length=2)]
@@ -230,6 +230,37 @@ class CrossValidationDocument(Judgement):
     trials: list[LeftOutTrial]
 
 
+class LadderRung(Part):
+    """A fit with some terms: their titles, the value of every free parameter, and how well it predicts.
+
+    ``over_noise`` is NRMSE over what noise alone costs [1], ``left_out`` the same of each trial as the fit of
+    the others predicts it. ``gain`` is the mean of what the last term takes off ``left_out``, ``chance`` the
+    probability that it does so by chance; NaN of the base. ``kept``: the term is worth its place.
+    """
+
+    terms: list[str]
+    values: dict[str, float]
+    nrmse: float
+    over_noise: float
+    left_out: list[float]
+    gain: float
+    chance: float
+    kept: bool
+
+
+class LadderDocument(TrustPart):
+    """``ladder.json``: the fit, each term of its kind added alone, then the best ones together."""
+
+    trials: list[str]
+    base: LadderRung
+    alone: list[LadderRung]
+    together: list[LadderRung]
+    keep: list[str]
+    parameters: list[str]
+    evaluations: int
+    seconds: float
+
+
 class Expected(Part):
     """What the trials of a campaign are expected to determine of a parameter, before a fit.
 
@@ -281,7 +312,9 @@ class CheckDocument(Part):
     seconds: float
 
 
-_NAMED: dict[str, type[TrustPart]] = {TRUST: TrustDocument, CROSS_VALIDATION: CrossValidationDocument}
+_NAMED: dict[str, type[TrustPart]] = {
+    TRUST: TrustDocument, CROSS_VALIDATION: CrossValidationDocument, LADDER: LadderDocument,
+}  # fmt: skip
 ARRAYS = FileKind("sysid-trust", 1, "the arrays of a trust document", "run it again", FitError)
 
 
@@ -346,7 +379,7 @@ def read_arrays(folder: Path, part: str) -> dict[str, Any]:
 def parts(folder: Path) -> tuple[str, ...]:
     """Return the documents in a fit folder, whether or not the fit has changed since."""
     stems = sorted(path.stem for path in folder.glob("*.json") if (folder / f"{path.stem}.h5").is_file())
-    return tuple(name for name in stems if name in (TRUST, CROSS_VALIDATION) or name.startswith(VALIDATION))
+    return tuple(name for name in stems if name in _NAMED or name.startswith(VALIDATION))
 
 
 def with_intervals(sets: Sets, folder: Path) -> Sets:

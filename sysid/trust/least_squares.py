@@ -50,7 +50,7 @@ def solve(
     problem: Problem,
     starts: FloatArray,
     scale: FloatArray,
-    steps: FloatArray,
+    steps: FloatArray | None = None,
     *,
     fixed: BoolArray | None = None,
     weights: Callable[[slice], FloatArray] | None = None,
@@ -65,8 +65,8 @@ def solve(
         In the unit cube.
     scale : (m,) array
         What weights the residuals.
-    steps : (n,) array
-        Of the difference Jacobian [unit cube].
+    steps : (n,) array, optional
+        Of the difference Jacobian [unit cube]; by default from the curvature of a sum of squares near 1.
     fixed : (F, n) bool array, optional
         Coordinates that keep their value.
     weights : callable, optional

@@ -8,7 +8,13 @@ from sysid.documents import Part
 from sysid.errors import SysidError
 from sysid.fit.provenance import FitDocument
 from sysid.parameter_sets import SetsDocument
-from sysid.trust.documents import CheckDocument, CrossValidationDocument, TrustDocument, ValidationDocument
+from sysid.trust.documents import (
+    CheckDocument,
+    CrossValidationDocument,
+    LadderDocument,
+    TrustDocument,
+    ValidationDocument,
+)
 
 DOCUMENTS: dict[str, type[Part]] = {
     "fit": FitDocument,
@@ -17,6 +23,7 @@ DOCUMENTS: dict[str, type[Part]] = {
     "trust": TrustDocument,
     "validation": ValidationDocument,
     "cross-validation": CrossValidationDocument,
+    "ladder": LadderDocument,
 }
 
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from sysid.gear.kernel import dynamics, geometry
+from sysid.gear.kernel import dynamics, geometry, terms, work_buffer
 from sysid.gear.model import PARAMETERS, pack
 from sysid.gear.surfaces import high_friction, low_friction
 
 NAMES = list(PARAMETERS)
+TERMS = PARAMETERS.group("term")
 LEG = ("axial_stiffness", "axial_damping", "bending_stiffness", "bending_damping", "mass", "inertia")
 
 
@@ -29,7 +30,8 @@ def twin_forces(p, slope, state):
         sink, sinking, slip = -foot @ normal, -speed @ normal, speed @ tangent
         force = 0.0
         if sink > 0:
-            force = p["ground_stiffness"] * sink + (p["ground_damping"] * sinking if sinking > 0 else 0.0)
+            rate = p["ground_damping"] + p["ground_stiffness"] * p["ground_rate_stiffening"] * sink
+            force = p["ground_stiffness"] * sink + rate * max(sinking, 0.0)
         friction = -p["kinetic_friction"] * abs(force) * slip / (abs(slip) + p["slip_regularization"])
         out.append((force, friction))
     return np.array(out)
@@ -46,6 +48,7 @@ def twin_accelerations(p, slope, state, forces, thrust=(0.0, 0.0)):
     matrix[0, 0] = matrix[1, 1] = p["body_mass"]
     matrix[2, 2] = p["body_inertia"]
     right[:2] = p["body_mass"] * weight + sum(thrust) * ez(q)
+    right[2] = -p["pitch_drag"] * abs(dq) * dq
     for side, push in zip((1, -1), thrust, strict=True):
         right[2] += push * ez(q) @ turned(-side * p["thrust_point_dx"] * ex(q))
     for leg, (side, h, angle, dh, dangle) in enumerate(
@@ -57,8 +60,11 @@ def twin_accelerations(p, slope, state, forces, thrust=(0.0, 0.0)):
         arm = p["leg_mass_fraction"] * length
         ground = forces[leg, 0] * ez(slope) + forces[leg, 1] * ex(slope)
         k_h, b_h, k_t, b_t, m, inertia = leg_values(p)[leg]
-        axial = -(k_h * h + b_h * dh) * ez(theta)  # on the body, (5)
-        moment = side * (k_t * (angle - rest) + b_t * dangle)  # (6)
+        bend = angle - rest
+        slide = k_h * p["leg_axial_hardening"] * h**3 + p["leg_slide_friction"] * dh / np.hypot(dh, 0.01)
+        dry = p["leg_joint_friction"] * dangle / np.hypot(dangle, 0.1)
+        axial = -(k_h * h + b_h * dh + slide) * ez(theta)  # on the body, (5)
+        moment = side * (k_t * bend * (1 + p["leg_bending_hardening"] * bend**2) + b_t * dangle + dry)  # (6)
         reaction, ih, it = 7 + leg, 3 + 2 * leg, 4 + 2 * leg
         right[:2] += axial
         right[2] += moment + axial @ turned(joint)
@@ -121,14 +127,16 @@ def kernel(p, slope, state, forces=None, thrust=(0.0, 0.0)):
         joints, float(s * x + c * z), h_c, h_d, rates, length
     )
     if forces is None:
-        n_c = geometry.normal_force(sink_c, dsink_c, p["ground_stiffness"], p["ground_damping"])
-        n_d = geometry.normal_force(sink_d, dsink_d, p["ground_stiffness"], p["ground_damping"])
+        work = term_values(p)
+        k_s, b_s = p["ground_stiffness"], p["ground_damping"]
+        n_c = geometry.normal_force(sink_c, dsink_c, k_s, b_s + terms.approach(sink_c, k_s, work, 0, 1))
+        n_d = geometry.normal_force(sink_d, dsink_d, k_s, b_s + terms.approach(sink_d, k_s, work, 0, 1))
         law = (p["kinetic_friction"], p["slip_regularization"])
         f_c, f_d = low_friction.low_friction(n_c, n_d, slip_c, slip_d, law)
         forces = np.array([(n_c, f_c), (n_d, f_d)])
     (n_c, f_c), (n_d, f_d) = forces.tolist()
     angles = (phi, h_c, theta_c, h_d, theta_d)
-    push = lift_and_tilt(p, thrust)
+    push = loads(p, thrust, angles, rates, coefficients)
     a = dynamics.accelerations(joints, angles, rates, push, (n_c, n_d), f_c, f_d, coefficients)
     return forces, np.array([c * a[0] + s * a[1], c * a[1] - s * a[0], *a[2:]])
 
@@ -139,17 +147,26 @@ def leg_values(p):
     return rear, [value * p[f"front_leg_{name}_ratio"] for value, name in zip(rear, LEG, strict=True)]
 
 
-def lift_and_tilt(p, thrust):
-    """Acceleration of a body alone by thrust of the rear and front motors [m/s², rad/s²]."""
+def term_values(p):
+    """A work buffer of one lane with the terms' values."""
+    work = np.zeros(work_buffer.ROWS)
+    work[work_buffer.TERM_VALUES : work_buffer.TERM_VALUES + len(TERMS)] = [p[name] for name in TERMS]
+    return work
+
+
+def loads(p, thrust, angles, rates, coefficients):
+    """What thrust of the rear and front motors and the terms add to the forces, as the kernel takes it."""
     rear, front = thrust
-    return (rear + front) / p["body_mass"], p["thrust_point_dx"] * (rear - front) / p["body_inertia"]
+    *joint_forces, drag, _ = terms.added(angles, rates, coefficients, term_values(p), 0, 1)
+    tilt = p["thrust_point_dx"] * (rear - front) / p["body_inertia"]
+    return (rear + front) / p["body_mass"], tilt + drag, *joint_forces
 
 
 def random_cases(count, seed):
     rng = np.random.default_rng(seed)
     for _ in range(count):
         p = dict(zip(NAMES, pack({}).tolist(), strict=True))
-        for name in [*NAMES[6:17], *NAMES[21:27]]:
+        for name in [*NAMES[6:17], *PARAMETERS.group("front leg", "term")]:
             row = PARAMETERS[name]
             p[name] = float(rng.uniform(row.lower, row.upper))
         slope = float(rng.uniform(-0.7, 0.7))
@@ -291,9 +308,11 @@ def compiled_high_friction(p, slope, state, normal, modes, ways, mu, thrust):
     rates = (c * dx - s * dz, s * dx + c * dz, dq, dh_c, dq + dq_c, dh_d, dq - dq_d)
     angles = (q - slope, h_c, q + q_c - slope, h_d, q - q_d - slope)
     slips = tuple(slip_rates(p, slope, state).tolist())
+    coefficients = coefficients_of(p, slope)
+    push = loads(p, thrust, angles, rates, coefficients)
     a, friction, required, stiff = high_friction.solve(
-        joints, angles, rates, lift_and_tilt(p, thrust), tuple(normal.tolist()), slips,
-        (*map(float, modes), *ways), (mu, 0.1, 0.0, 0.0, 0.0, 0.0), coefficients_of(p, slope),
+        joints, angles, rates, push, tuple(normal.tolist()), slips, (*map(float, modes), *ways),
+        (mu, 0.1, 0.0, 0.0, 0.0, 0.0), coefficients,
     )  # fmt: skip
     return np.array([c * a[0] + s * a[1], c * a[1] - s * a[0], *a[2:]]), friction, required, stiff
 
@@ -303,10 +322,10 @@ def lagrangian():
     """Mass matrix and generalized forces without ground, derived from the energies alone."""
     t = sp.symbols("t")
     constants = sp.symbols(
-        "m i g dxj dzj frac l qn dxm tr tf khc bhc ktc btc mlc ilc khd bhd ktd btd mld ild"
+        "m i g dxj dzj frac l qn dxm tr tf kah kat fh mt cq khc bhc ktc btc mlc ilc khd bhd ktd btd mld ild"
     )
-    m, i, g, dxj, dzj, frac, length, qn, dxm, t_r, t_f = constants[:11]
-    legs = (constants[11:17], constants[17:])
+    m, i, g, dxj, dzj, frac, length, qn, dxm, t_r, t_f, harden, stiffen, slide, dry, drag = constants[:16]
+    legs = (constants[16:22], constants[22:])
     q = [sp.Function(n)(t) for n in ("x", "z", "q", "hc", "qc", "hd", "qd")]
     fields = sp.symbols("nxc nzc nxd nzd")
     x, z, b, hc, qc, hd, qd = q
@@ -315,7 +334,7 @@ def lagrangian():
     centre = sp.Matrix([x, z])
     kinetic = m * centre.diff(t).dot(centre.diff(t)) / 2 + i * b.diff(t) ** 2 / 2
     potential = m * g * z
-    loss = 0
+    loss = drag * sp.sqrt(b.diff(t) ** 2) ** 3 / 3
     feet = []
     for side, h, a, (kh, bh, kt, bt, ml, il) in ((1, hc, qc, legs[0]), (-1, hd, qd, legs[1])):
         theta = b + side * a
@@ -324,7 +343,11 @@ def lagrangian():
         feet.append(joint - (length + h) * ez_(theta))
         kinetic += ml * middle.diff(t).dot(middle.diff(t)) / 2 + il * theta.diff(t) ** 2 / 2
         potential += ml * g * middle[1] + kh * h**2 / 2 + kt * (a - qn) ** 2 / 2
+        potential += kh * harden * h**4 / 4 + kt * stiffen * (a - qn) ** 4 / 4
         loss += bh * h.diff(t) ** 2 / 2 + bt * a.diff(t) ** 2 / 2
+        # Dry friction: the derivative of F sqrt(v² + v_0²) by v.
+        loss += slide * sp.sqrt(h.diff(t) ** 2 + sp.Rational(1, 100) ** 2)
+        loss += dry * sp.sqrt(a.diff(t) ** 2 + sp.Rational(1, 10) ** 2)
     v = [f.diff(t) for f in q]
     momentum = [sp.diff(kinetic, r) for r in v]
     work = feet[0].dot(sp.Matrix(fields[:2])) + feet[1].dot(sp.Matrix(fields[2:]))
@@ -355,7 +378,7 @@ def test_against_a_lagrangian(lagrangian):
         constants = [
             p["body_mass"], p["body_inertia"], p["gravity"], p["joint_dx"], p["joint_dz"],
             p["leg_mass_fraction"], np.hypot(span, depth), np.arctan2(span, depth), p["thrust_point_dx"],
-            *thrust, *rear, *front,
+            *thrust, *(p[name] for name in TERMS if name != "ground_rate_stiffening"), *rear, *front,
         ]  # fmt: skip
         mass, force = lagrangian(state[:7], state[7:], np.concatenate(ground), constants)
         twin = np.linalg.solve(mass, np.ravel(force))

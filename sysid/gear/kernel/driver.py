@@ -24,6 +24,7 @@ import numpy as np
 from numba import njit
 
 from sysid.gear.kernel import stage as stages
+from sysid.gear.kernel import terms
 from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.geometry import normal_force
 from sysid.gear.kernel.lane import (
@@ -126,9 +127,9 @@ def fingerprint(surface: Surface) -> int:
     return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
 
 
-def drop_driver(lanes: int, surface: Surface):
-    """Make the driver for a number of lanes and a surface."""
-    sources = fingerprint(surface)
+def drop_driver(lanes: int, surface: Surface, extended: bool = False):
+    """Make the driver for a number of lanes, a surface, and all terms if `extended`."""
+    sources = fingerprint(surface) + extended
     modes = surface.switching
 
     def drive(
@@ -403,7 +404,10 @@ def drop_driver(lanes: int, surface: Surface):
                 _advance(work, taken > 0.0, lane, lanes)
                 work[at.FRESH * lanes + lane] = fresh
 
-    text = specialized(stages.evaluate, solve=surface.solve, modes=surface.switching)
+    added, approach = (terms.added, terms.approach) if extended else (terms.nothing_added, terms.no_approach)
+    text = specialized(
+        stages.evaluate, solve=surface.solve, modes=surface.switching, added=added, approach=approach
+    )
     stage = njit(error_model="numpy", inline="always")(text)
     bound = specialized(drive, evaluate=stage, after_step=surface.after_step)
     return njit(cache=True, nogil=True, error_model="numpy")(bound)
@@ -428,8 +432,9 @@ def force_reader(surface: Surface):
             body = np.concatenate((coordinates[:3], rates[:3]))
             begin(parameters, slope, body, legs, work, 0, 1)
             p_c, dp_c, v_c, p_d, dp_d, v_d = feet_at_start(work, 0, 1)
-            n_c = normal_force(p_c, dp_c, work[at.GROUND_SPRING], work[at.GROUND_DAMPER])
-            n_d = normal_force(p_d, dp_d, work[at.GROUND_SPRING], work[at.GROUND_DAMPER])
+            k_s, b_s = work[at.GROUND_SPRING], work[at.GROUND_DAMPER]
+            n_c = normal_force(p_c, dp_c, k_s, b_s + terms.approach(p_c, k_s, work, 0, 1))
+            n_d = normal_force(p_d, dp_d, k_s, b_s + terms.approach(p_d, k_s, work, 0, 1))
             forces[n, 0] = n_c
             forces[n, 1] = n_d
             if continuous:

@@ -143,7 +143,7 @@ def ringing(joints, h_c, h_d, normals, k_s, coefficients):
 
 @njit(error_model="numpy", forceinline=True)
 @fused
-def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d, coefficients):
+def accelerations(joints, angles, rates, loads, normals, friction_c, friction_d, coefficients):
     """Second time derivatives of (s, w, phi, h_C, theta_C, h_D, theta_D) under given forces on the feet.
 
     Parameters
@@ -154,8 +154,9 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
         phi, h_C, theta_C, h_D, theta_D: angles of body and legs from the slope [rad], extensions [m].
     rates : tuple of 7 float
         Rates of the coordinates.
-    thrust : tuple of 2 float
-        lift [m/s²] and tilt [rad/s²].
+    loads : tuple of 6 float
+        lift [m/s²] and tilt [rad/s²]; what `sysid.gear.kernel.terms` add to the axial forces of the rear and
+        the front joint [N] and to their moments on the legs [N·m].
     normals : tuple of 2 float
         Forces on the rear and front foot along the slope's normal [N].
     friction_c, friction_d : float
@@ -164,7 +165,7 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
     """
     cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, cos_phi, sin_phi = joints
     phi, h_c, theta_c, h_d, theta_d = angles
-    lift, tilt = thrust
+    lift, tilt, more_axial_c, more_axial_d, more_moment_c, more_moment_d = loads
     normal_c, normal_d = normals
     _, _, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate = rates
     q_n, arm = coefficients.q_n, coefficients.arm
@@ -180,6 +181,10 @@ def accelerations(joints, angles, rates, thrust, normals, friction_c, friction_d
     axial_d = coefficients.k_h_d * h_d + coefficients.b_h_d * h_d_rate
     moment_c = -coefficients.k_t_c * (theta_c - phi - q_n) - coefficients.b_t_c * (theta_c_rate - omega)
     moment_d = -coefficients.k_t_d * (theta_d - phi + q_n) - coefficients.b_t_d * (theta_d_rate - omega)
+    axial_c = axial_c + more_axial_c
+    axial_d = axial_d + more_axial_d
+    moment_c = moment_c + more_moment_c
+    moment_d = moment_d + more_moment_d
     # Ground forces in each leg's axes.
     across_c = friction_c * cos_c - normal_c * sin_c
     along_c = friction_c * sin_c + normal_c * cos_c

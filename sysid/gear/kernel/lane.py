@@ -6,10 +6,12 @@ from numba import njit
 from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.dynamics import derived, feet, pose
 from sysid.gear.kernel.parameter_row import (
+    FIRST_TERM,
     GROUND_DAMPING,
     GROUND_STIFFNESS,
     LAW_READS,
     LAW_SLOTS,
+    TERMS,
     THRUST_POINT_DX,
 )
 from sysid.gear.kernel.stage import coefficients_at
@@ -57,6 +59,8 @@ def begin(parameters, slope, body, legs, work, lane, lanes):
         work[(at.COEFFICIENTS + i) * lanes + lane] = coefficients[i]
     work[at.GROUND_SPRING * lanes + lane] = parameters[GROUND_STIFFNESS]
     work[at.GROUND_DAMPER * lanes + lane] = parameters[GROUND_DAMPING]
+    for i in range(TERMS):
+        work[(at.TERM_VALUES + i) * lanes + lane] = parameters[FIRST_TERM + i]
     for i in range(LAW_SLOTS):
         reads = LAW_READS + i
         work[(at.LAW + i) * lanes + lane] = parameters[reads] if reads < len(parameters) else 0.0

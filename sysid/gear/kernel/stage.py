@@ -14,9 +14,11 @@ from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, 
 # step.
 STABLE = 0.9
 
-# Bound to a surface's functions when a driver is made.
+# Bound to a surface's functions, and to `sysid.gear.kernel.terms`, when a driver is made.
 solve: Any = None
 modes: Any = None
+added: Any = None
+approach: Any = None
 
 
 @njit(error_model="numpy", forceinline=True)
@@ -95,22 +97,24 @@ def evaluate(work, stage, lane, lanes):
     )  # fmt: skip
     time, step = work[at.TIME * lanes + lane], work[at.STEP * lanes + lane]
     elapsed = time + C[stage] * step - work[at.ORIGIN * lanes + lane]
-    thrust = (cubic(work, at.LIFT, elapsed, lane, lanes), cubic(work, at.TILT, elapsed, lane, lanes))
+    lift, tilt = cubic(work, at.LIFT, elapsed, lane, lanes), cubic(work, at.TILT, elapsed, lane, lanes)
     joints = pose(phi, theta_c, theta_d, coefficients.dx_j, coefficients.dz_j)
     p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, w, h_c, h_d, rates, coefficients.length)
     k_s = work[at.GROUND_SPRING * lanes + lane]
     b_s = work[at.GROUND_DAMPER * lanes + lane]
-    n_c = normal_force(p_c, dp_c, k_s, b_s)
-    n_d = normal_force(p_d, dp_d, k_s, b_s)
+    n_c = normal_force(p_c, dp_c, k_s, b_s + approach(p_c, k_s, work, lane, lanes))
+    n_d = normal_force(p_d, dp_d, k_s, b_s + approach(p_d, k_s, work, lane, lanes))
     angles = (phi, h_c, theta_c, h_d, theta_d)
+    axial_c, axial_d, moment_c, moment_d, drag, decay = added(angles, rates, coefficients, work, lane, lanes)
+    loads = (lift, tilt + drag, axial_c, axial_d, moment_c, moment_d)
     acceleration, (f_c, f_d), (required_c, required_d), stiff = solve(
-        joints, angles, rates, thrust, (n_c, n_d), (v_c, v_d), mode, law, coefficients
+        joints, angles, rates, loads, (n_c, n_d), (v_c, v_d), mode, law, coefficients
     )
     if stage == STAGES:
         rate, damping = ringing(joints, h_c, h_d, (n_c, n_d), k_s, coefficients)
         reach = RING_LIMIT + RING_GAIN * damping
         rate = rate / (reach if reach < RING_MOST else RING_MOST)
-        stiff = stiff * (1.0 / (STABLE * REAL_LIMIT))
+        stiff = (stiff if stiff > decay else decay) * (1.0 / (STABLE * REAL_LIMIT))
         work[at.STIFF * lanes + lane] = stiff if stiff > rate else rate
         work[at.NORMAL * lanes + lane] = n_c
         work[(at.NORMAL + 1) * lanes + lane] = n_d

@@ -1,5 +1,6 @@
 """Rows of the drivers' work buffer: element ``row * lanes + lane`` of the flat buffer belongs to a lane."""
 
+from sysid.gear.kernel import parameter_row
 from sysid.gear.kernel.dynamics import Coefficients
 from sysid.gear.kernel.parameter_row import LAW_SLOTS
 from sysid.integrate.tableau import STAGES
@@ -29,6 +30,7 @@ LAW = _rows(LAW_SLOTS)  # what the friction law reads; first mu_k, then mu_s - m
 SLOPE = _rows()  # angle of the surface [rad]
 COS_SLOPE = _rows()
 SIN_SLOPE = _rows()
+TERM_VALUES = _rows(parameter_row.TERMS)  # what `sysid.gear.kernel.terms` reads
 TIME = _rows()  # since the drop's start
 STEP = _rows()
 NEW_STEP = _rows()

@@ -184,7 +184,7 @@ def next_mode(switch, stuck, way, normal, slip, required, margin, now, taken, mu
 
 @njit(error_model="numpy", forceinline=True)
 @fused
-def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficients):
+def solve(joints, angles, rates, loads, normals, slips, modes, law, coefficients):
     """Accelerations, friction and required friction with every foot in its mode.
 
     The motion is linear in the friction forces: with its derivatives the multipliers are exact.
@@ -193,7 +193,7 @@ def solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficient
     l = coefficients.length  # noqa: E741
     stuck_c, stuck_d, way_c, way_d = modes
     mu_k = law[0]
-    free = accelerations(joints, angles, rates, thrust, normals, 0.0, 0.0, coefficients)
+    free = accelerations(joints, angles, rates, loads, normals, 0.0, 0.0, coefficients)
     rear, front = friction_responses(joints, h_c, h_d, coefficients)
     t_free = foot_accelerations(joints, h_c, h_d, l, rates, free)
     g_cc, g_cd = along_slope(joints, h_c, h_d, l, rear)

@@ -40,7 +40,7 @@ class Surface:
     free : tuple of str
         Parameters that a fit searches by default.
     solve : compiled function
-        ``(joints, angles, rates, thrust, normals, slips, modes, law, coefficients) -> (accelerations,
+        ``(joints, angles, rates, loads, normals, slips, modes, law, coefficients) -> (accelerations,
         friction, required, stiff)``: the motion's seven accelerations under the law, friction on the rear and
         front foot [N], the friction that each foot would need to stick [N], and the fastest decay rate of a
         slip [1/s], which bounds the explicit step. Arguments as in `sysid.gear.kernel.dynamics`; ``modes`` is
@@ -145,7 +145,7 @@ def continuous_law(friction: Any, damping: Any) -> Any:
     return njit(error_model="numpy", forceinline=True)(bound)
 
 
-def _solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficients):
+def _solve(joints, angles, rates, loads, normals, slips, modes, law, coefficients):
     _, h_c, _, h_d, _ = angles
     n_c, n_d = normals
     v_c, v_d = slips
@@ -153,5 +153,5 @@ def _solve(joints, angles, rates, thrust, normals, slips, modes, law, coefficien
     loose_c, loose_d = foot_looseness(joints, h_c, h_d, coefficients)
     stiff_c = loose_c * damping(n_c, v_c, law)
     stiff_d = loose_d * damping(n_d, v_d, law)
-    acceleration = accelerations(joints, angles, rates, thrust, normals, f_c, f_d, coefficients)
+    acceleration = accelerations(joints, angles, rates, loads, normals, f_c, f_d, coefficients)
     return acceleration, (f_c, f_d), (0.0, 0.0), stiff_c if stiff_c > stiff_d else stiff_d

@@ -1,0 +1,188 @@
+"""What is missing in a model: declared terms added to a fit, judged on trials left out.
+
+Every rung frees the parameters of a term, walks downhill from the fit's optimum, and is fitted again without
+each trial in turn. A term is kept where it predicts the trials left out better than the rung below by more
+than chance: the gains of the trials (NRMSE over noise) are tested against zero (Student, one-sided), and the
+probability is multiplied by the number of terms that were looked at (Bonferroni).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t as student
+
+from sysid.errors import FitError
+from sysid.fit.least_squares import Fronts, MeanNrmse, descend, drive
+from sysid.fit.problem import Problem, Term
+from sysid.journal import Say
+from sysid.parameters import SearchSpace
+from sysid.trust.influence import FEWEST
+from sysid.trust.least_squares import solve
+from sysid.trust.problem import nrmse_of, scales, trial_rows
+from sysid.types import FloatArray
+
+# A term is kept up to this probability of chance, if it buys at least this of the noise [1].
+CHANCE, LEAST_GAIN = 0.05, 0.01
+# Terms that are kept, at most.
+MOST = 4
+# Where a term's walks begin, from its value in the paper's model on [unit cube].
+_STARTS = (-0.15, 0.03, 0.15, 0.4)
+_TOLERANCE, _ITERATIONS, _ITERATIONS_WITHOUT = 1e-4, 15, 6
+
+
+@dataclass(frozen=True, eq=False)
+class TermFit:
+    """A fit of the model with some terms.
+
+    Parameters
+    ----------
+    terms : tuple of Term
+        That it has; none in the base.
+    problem : Problem
+        Whose free parameters are those of the fit, then of the terms.
+    point : (n,) array
+        The optimum [unit cube].
+    nrmse : float
+        Over the fitted trials [1].
+    ratio : float
+        The same over what noise alone costs [1].
+    left_out : (T,) array
+        NRMSE over noise of each trial, predicted by the fit of the others [1]; NaN where not computed.
+    chance : float
+        Probability that the gain over the rung below is chance, for all terms looked at [1]; NaN of the base.
+    """
+
+    terms: tuple[Term, ...]
+    problem: Problem
+    point: FloatArray
+    nrmse: float
+    ratio: float
+    left_out: FloatArray
+    chance: float = np.nan
+    gain: float = np.nan
+
+    @property
+    def kept(self) -> bool:
+        """Whether the last term is worth its place."""
+        return self.chance < CHANCE and self.gain > LEAST_GAIN
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Value of every free parameter [SI]."""
+        return dict(
+            zip(self.problem.space.names, self.problem.space.decode(self.point).tolist(), strict=True)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """The base, each term alone, then the best ones together, every rung with the one it is compared to."""
+
+    base: TermFit
+    alone: tuple[TermFit, ...]
+    together: tuple[TermFit, ...]
+    evaluations: int
+
+    @property
+    def best(self) -> TermFit:
+        """The highest rung that is worth its place; the base where no term is."""
+        kept = [rung for rung in self.together if rung.kept]
+        return kept[-1] if kept else self.base
+
+
+def freed(problem: Problem, term: Term) -> Problem:
+    """Return a problem in which a term's parameters are free as well."""
+    space = problem.space
+    extra = tuple(space.table[name] for name in term.parameters if name not in space.names)
+    fixed = {name: value for name, value in space.fixed.items() if name not in term.parameters}
+    return replace(problem, space=SearchSpace(space.table, (*space.free, *extra), fixed))  # type: ignore[type-var]
+
+
+class Climber:
+    """Fits rungs and counts what they simulate."""
+
+    def __init__(self, problem: Problem, start: FloatArray, say: Say = None) -> None:
+        """Begin at the best set (n,) [unit cube] of the fitted trials; FitError for fewer than three."""
+        if len(problem.trials) < FEWEST:
+            raise FitError(
+                f"{len(problem.trials)} fitted trials: a ladder is judged on trials left out, and needs "
+                f"{FEWEST} or more; fit more trials"
+            )
+        self.evaluations = 0
+        self._say = say or (lambda sentence: None)
+        self._floors = problem.floors(problem.space.full(start[None])[0])
+        self._problem, self._start = problem, start
+
+    def climb(self, terms: Sequence[Term]) -> Ladder:
+        """Return the base, each term alone, and the best ones together."""
+        base = self._left_out(self._fitted((), self._problem, self._start[None]))
+        alone = []
+        for term in terms:
+            self._say(f"{term.title}: fitted, and fitted without each trial")
+            alone.append(self._judged(self._left_out(self._with(base, term)), base, len(terms)))
+        together: list[TermFit] = []
+        first = min(alone, key=lambda rung: float(np.mean(rung.left_out)), default=None)
+        if first is not None:
+            together.append(first)
+        while together and together[-1].kept and len(together) < MOST:
+            below = together[-1]
+            others = [term for term in terms if term not in below.terms]
+            if not others:
+                break
+            self._say(f"{' and '.join(term.title for term in below.terms)}: which term comes next?")
+            best = min((self._with(below, term) for term in others), key=lambda rung: rung.nrmse)
+            together.append(self._judged(self._left_out(best), below, len(others)))
+        return Ladder(base, tuple(alone), tuple(together), self.evaluations)
+
+    def _with(self, below: TermFit, term: Term) -> TermFit:
+        problem = freed(below.problem, term)
+        space = problem.space
+        known = np.array(
+            [{**space.fixed, **below.values, **below.problem.space.fixed}[name] for name in space.names]
+        )
+        at = np.clip(space.encode(known), 0.0, 1.0)
+        new = [i for i, name in enumerate(space.names) if name in term.parameters]
+        starts = np.repeat(at[None], len(_STARTS), axis=0)
+        starts[:, new] = np.clip(starts[:, new] + np.array(_STARTS)[:, None], 0.0, 1.0)
+        moved = np.any(np.abs(starts - at) > 1e-9, axis=1)
+        return self._fitted((*below.terms, term), problem, starts[moved])
+
+    def _fitted(self, terms: tuple[Term, ...], problem: Problem, starts: FloatArray) -> TermFit:
+        fronts = Fronts.at(starts)
+        walk = descend(fronts, MeanNrmse(problem), tolerance=_TOLERANCE, iterations=_ITERATIONS)
+        self.evaluations += drive(walk, problem.residuals)
+        fronts.sort()
+        levels = nrmse_of(problem.blocks, problem.residuals(fronts.points[:1])[0])[0]
+        weights = np.array([block.weight for block in problem.blocks])
+        nrmse, floor = float(weights @ levels), float(weights @ self._floors)
+        none = np.full(len(problem.trials), np.nan)
+        return TermFit(terms, problem, fronts.points[0].copy(), nrmse, nrmse / floor, none)
+
+    def _left_out(self, rung: TermFit) -> TermFit:
+        """Fit a rung without each trial, and predict that trial."""
+        problem, point, count = rung.problem, rung.point, len(rung.problem.trials)
+        blocks = problem.blocks
+        residuals = problem.residuals(point[None])[0][0]
+        scale = scales(blocks, nrmse_of(blocks, residuals), len(residuals)) / np.sqrt(rung.nrmse)
+        solved = solve(
+            problem, np.repeat(point[None], count, axis=0), scale,
+            weights=lambda part: trial_rows(blocks, 1 - np.eye(count)[part], len(scale)),
+            tolerance=_TOLERANCE, iterations=_ITERATIONS_WITHOUT,
+        )  # fmt: skip
+        self.evaluations += solved.evaluations + count
+        levels = nrmse_of(blocks, problem.residuals(solved.points)[0])
+        of_trial = np.array([[block.trial == t for block in blocks] for t in range(count)])
+        weights = np.array([block.weight for block in blocks]) * of_trial
+        return replace(rung, left_out=np.sum(weights * levels, axis=1) / (weights @ self._floors))
+
+    @staticmethod
+    def _judged(rung: TermFit, below: TermFit, looks: int) -> TermFit:
+        """Return a rung with the gain over the one below and the probability that it is chance."""
+        gains = below.left_out - rung.left_out
+        error = float(np.std(gains, ddof=1) / np.sqrt(len(gains)))
+        statistic = float(np.mean(gains)) / max(error, 1e-12)
+        chance = float(min(1.0, looks * student.sf(statistic, len(gains) - 1)))
+        return replace(rung, gain=float(np.mean(gains)), chance=chance)
