@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self
 
@@ -478,6 +478,12 @@ class Problem(ABC):
             if not kept and (instrument or record.status in ("free", "fixed", "measured")):
                 rows[:, column[name]] = values[:, i]
         return self.completed(rows, fit)
+
+
+@cache
+def tell_of_kernel(name: str) -> None:
+    """Say once per process, before the first simulation, why nothing else is printed for a while."""
+    tell(f"preparing {name}: compiled once per version (under a minute), then loaded")
 
 
 def first_cause(causes: NDArray[np.int8], count: int) -> NDArray[np.int8] | BoolArray:

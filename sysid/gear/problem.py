@@ -15,7 +15,7 @@ from sysid.campaign import GearCampaign
 from sysid.campaign.file import resolve_log
 from sysid.errors import CampaignError
 from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse, PopulationCost
-from sysid.fit.problem import Block, NoiseModel, Prediction, Problem, Scores, Trial
+from sysid.fit.problem import Block, NoiseModel, Prediction, Problem, Scores, Trial, tell_of_kernel
 from sysid.fit.result import FitResult
 from sysid.gear.beyond_window import centre_of_mass, stopping
 from sysid.gear.drops import PreparedDrop, cost_channels, lowpass_of, read_drop_log
@@ -66,7 +66,7 @@ _NEVER_IN_DROPS = ("thrust_point_dx",)
 @cache
 def prepare_kernel(law: str) -> None:
     """Compile or load a law's kernel, once per process, and say so before: it may take a minute."""
-    tell(f"preparing the {law} kernel: compiled once per version (under a minute), then loaded")
+    tell_of_kernel(f"the {law} kernel")
     prepare(law)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sysid.campaign import MotorCampaign
-from sysid.fit.problem import NoiseModel, Prediction, Problem, Scores, Trial
+from sysid.fit.problem import NoiseModel, Prediction, Problem, Scores, Trial, tell_of_kernel
 from sysid.fit.result import FitResult
 from sysid.motor.batch import SimulatedTrials, simulate_population
 from sysid.motor.bench_logs import log_hashes
@@ -181,6 +181,7 @@ class MotorProblem(Problem):
 
     def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return samples (P, n_total, 2) [SI] on the trials' grids, and the share reached (P, T) [1]."""
+        tell_of_kernel("the motor's kernels")
         runs = simulate_population(
             rows[:, : len(PARAMETERS)], self.jobs, delays=shifts(self.space.table, rows, self.prepared),
             tolerance=FIT_TOLERANCE, threads=self.threads, ideal_reversal=self.ideal_reversal,

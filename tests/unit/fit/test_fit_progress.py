@@ -9,9 +9,11 @@ from rich.console import Console
 
 from sysid.fit import progress as progress_module
 from sysid.fit.history import Generation, RunHistory, StageHistory
+from sysid.fit.problem import tell_of_kernel
 from sysid.fit.progress import FitProgress
 from sysid.fit.search import SearchSettings
 from sysid.fit.stopping import StopRule
+from sysid.journal import Journal
 
 GENERATION = Generation(7, np.zeros((3, 1)), np.array([0.05, 0.06, 0.3]), 1, 21, 126, elapsed=2.0)
 STAGE = StageHistory(
@@ -87,3 +89,13 @@ def test_a_terminal_shows_a_live_block_unless_quiet(quiet):
         progress.on_stop()
     shown = stream.getvalue()
     assert shown == "" if quiet else all(word in shown for word in ("ended: ", "run 5/5  waits", "━"))
+
+
+def test_the_wait_for_a_compiler_is_announced_once():
+    lines = []
+    with Journal(lines.append):
+        tell_of_kernel("a kernel of this test")
+        tell_of_kernel("a kernel of this test")
+    assert lines == [
+        "preparing a kernel of this test: compiled once per version (under a minute), then loaded"
+    ]
