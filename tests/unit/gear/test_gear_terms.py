@@ -1,6 +1,5 @@
 """Terms on trial: nothing changes without them, and the ladder names the one that drops were made with."""
 
-
 import numpy as np
 import pytest
 
