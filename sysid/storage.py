@@ -31,6 +31,8 @@ from sysid.errors import SysidError
 
 # How often a refused replacement is tried, and how long to wait between [s].
 _TRIES, _PAUSE = 20, 0.05
+# Deflate packs no more bytes into one.
+_LARGEST_GAIN = 1032
 # The errors of h5py on a damaged file depend on where the damage lies.
 _DAMAGE = (
     OSError, LookupError, ValueError, TypeError, RuntimeError, AttributeError, MemoryError, OverflowError,
@@ -236,12 +238,33 @@ class FileKind:
                         f"{path}: {self.what} of version {file.attrs.get('version')}, expected "
                         f"{self.version}; read it with the version of sysid that wrote it, or {self.remedy}"
                     )
+                _check_content(file)
                 yield file
         except self.error_type:
             raise
         except _DAMAGE as error:
             first = next(iter(str(error).splitlines()), type(error).__name__)
             raise self.error_type(f"{path}: damaged or cut off ({first}); {self.remedy}") from error
+
+
+def _check_content(file: Any) -> None:
+    """Refuse (ValueError) what sysid never writes: links, data elsewhere, more values than bytes for them."""
+    # An exception inside would be lost in the library.
+    links: list[str] = []
+    file.visititems_links(lambda name, link: None if isinstance(link, h5py.HardLink) else links.append(name))
+    if links:
+        raise ValueError(f"{links[0]} is a link")
+    items: dict[str, Any] = {}
+    file.visititems(lambda name, item: items.update({name: item}))
+    for name, item in items.items():
+        if not isinstance(item, h5py.Dataset):
+            continue
+        if item.is_virtual or item.external:
+            raise ValueError(f"{name} lies in another place")
+        if item.dtype.kind not in "iufb" and h5py.check_string_dtype(item.dtype) is None:
+            raise ValueError(f"{name} has neither numbers nor text")
+        if item.size and item.size * item.dtype.itemsize > _LARGEST_GAIN * item.id.get_storage_size():
+            raise ValueError(f"{name} claims more values than the file has bytes for")
 
 
 def put(group: Any, name: str, values: Any, axes: str, unit: str = "1") -> None:

@@ -10,6 +10,7 @@ import codecs
 import csv
 import hashlib
 import io
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -57,6 +58,7 @@ class Source:
                 raise LogError(f"{self.path} is not an ordinary file; copy the log to one first")
             with self._file.open("rb") as stream:
                 self.head = stream.read(_HEAD_BYTES)
+                self._state = _state(stream.fileno())
         except (OSError, ValueError) as error:  # ValueError: a NUL byte inside the path
             raise LogError(f"{self.path}: cannot be read ({error}); check its permissions") from error
         if not self.head:
@@ -73,9 +75,16 @@ class Source:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of the file's bytes as hex."""
+        """SHA-256 of the bytes that were read, as hex; LogError where they have changed meanwhile."""
         if not self._sha256:
-            self._sha256 = file_sha256(self._file)
+            # A library read the file: it is hashed in another reading.
+            try:
+                digest, same = file_sha256(self._file), _state(self._file) == self._state
+            except OSError:
+                same = False
+            if not same:
+                raise LogError(f"{self.path}: changed while it was read; try again when it is written")
+            self._sha256 = digest
         return self._sha256
 
     @cached_property
@@ -103,6 +112,12 @@ class Source:
         given = {name: str(value) for name, value in (options or {}).items() if value is not None}
         told = tuple(replace(finding, sentence=one_line(finding.sentence)) for finding in notes)
         return Provenance(self.path, self.sha256, format, device, given, told)
+
+
+def _state(file: int | Path) -> tuple[int, int, int]:
+    """Return what changes when a file is written or replaced."""
+    state = os.stat(file)
+    return state.st_ino, state.st_size, state.st_mtime_ns
 
 
 def decode(data: bytes, path: str, *, partial: bool = False) -> str:

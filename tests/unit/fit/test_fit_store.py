@@ -16,7 +16,7 @@ import pytest
 import sysid
 from fakes.bowl import assert_same_run
 from fakes.fits import full_fit
-from sysid import exact_json
+from sysid import exact_json, storage
 from sysid.errors import FitError
 from sysid.fit import store
 from sysid.fit.store import check_new_fit, read_fit, summary, write_fit
@@ -125,6 +125,8 @@ def test_full_disk_leaves_the_old_fit(tmp_path, monkeypatch, where):
     elif where == "text":
         monkeypatch.setattr(Path, "write_text", full_disk)
     else:
+        # Where the system cannot exchange two folders.
+        monkeypatch.setattr(storage, "exchanged", lambda new, path: False)
         renamed, calls = os.replace, []
 
         def second_fails(source, target):
@@ -219,3 +221,58 @@ def test_failures_are_told_by_cause_in_text_and_numbers(tmp_path):
         record = exact_json.loads(file["record_json"].asstr()[()])
     by_cause = record["runs"][0]["stages"][0]["failures"]
     assert by_cause == {"blew_up": 15, "left_the_board": 10}
+
+
+def _replaced_by(make):
+    def change(file):
+        del file["sets/nrmse"]
+        make(file)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            _replaced_by(lambda f: f.update({"sets/nrmse": h5py.ExternalLink("/etc/passwd", "/x")})),
+            "is a link",
+        ),
+        (_replaced_by(lambda f: f.update({"sets/nrmse": h5py.SoftLink("/sets/nrmse")})), "is a link"),
+        (
+            _replaced_by(lambda f: f["sets"].create_dataset("nrmse", (5,), "f8", external="/etc/passwd")),
+            "lies in another place",
+        ),
+        (
+            _replaced_by(lambda f: f["sets"].create_virtual_dataset("nrmse", h5py.VirtualLayout((5,), "f8"))),
+            "lies in another place",
+        ),
+        (
+            _replaced_by(lambda f: f["sets"].create_dataset("nrmse", (10**12,), "f8", chunks=(1000,))),
+            "claims more values than the file has bytes for",
+        ),
+        (
+            _replaced_by(lambda f: f["sets"].create_dataset("nrmse", data=[f.ref] * 5, dtype=h5py.ref_dtype)),
+            "has neither numbers nor text",
+        ),
+        (lambda f: f["sets"].update({"again": f["/"]}), None),
+    ],
+    ids=[
+        "external link",
+        "soft-link loop",
+        "external data",
+        "virtual",
+        "promise",
+        "object",
+        "hard-link loop",
+    ],
+)
+def test_a_fit_that_reaches_outside_or_promises_too_much_is_refused(tmp_path, change, words):
+    path = write_fit(full_fit(), tmp_path / "bench")
+    with h5py.File(path / "fit.h5", "r+") as file:
+        change(file)
+    if words is None:
+        assert_same(read_fit(path), full_fit())
+        return
+    with pytest.raises(FitError, match=f"damaged or cut off .*{words}.*; run the fit again"):
+        read_fit(path)

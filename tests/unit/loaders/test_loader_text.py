@@ -114,3 +114,18 @@ def test_jitter_is_said_only_where_it_is():
     assert jitter_note(np.delete(steady, 50)) == []
     [finding] = jitter_note(steady + np.random.default_rng(0).uniform(0, 2e-3, 100))
     assert finding.code == "unsteady-clock"
+
+
+def test_the_hash_is_of_the_bytes_that_were_read(write):
+    path = write("a,b\n1,2\n")
+    text, library, gone = Source(path), Source(path), Source(path)
+    text.read_bytes()
+    before = text.sha256
+    path.write_text("a,b\n1,3\n", encoding="utf-8")
+    assert text.sha256 == before
+    # A library that reads the file itself leaves only the file to be hashed.
+    with pytest.raises(LogError, match="changed while it was read; try again when it is written"):
+        _ = library.sha256
+    path.unlink()
+    with pytest.raises(LogError, match="changed while it was read"):
+        _ = gone.sha256

@@ -1,0 +1,83 @@
+"""Resident memory of whole fits, and what each further drop and run adds to it.
+
+Run ``python tests/benchmarks/memory.py [--drops N] [--runs N] [--population N] [--finish NAME]``. It writes a
+campaign of drawn drops on low friction, opens it, and fits it. The first figures are of the drops, as they
+are opened; the others of the process after every run, whose median difference is what a run adds. Linux only.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from sysid.fit.progress import FitProgress
+from sysid.gear.model import prepare
+from sysid.motor.problem import MotorProblem  # noqa: F401  # what every fit imports is there before the first figure
+from sysid.synthetic import DropPlan, synthesize_gear
+from sysid.workflows.fit import fit_gear
+from sysid.workflows.kinds import open_campaign
+from sysid.workflows.options import FitOptions
+
+MB = 1e6
+
+
+def resident(which="VmRSS"):
+    """Memory of this process that lies in RAM now, or at most until now (VmHWM) [MB]."""
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
+        if line.startswith(f"{which}:"):
+            return int(line.split()[1]) * 1024 / MB
+    raise SystemExit("this system states no memory in /proc/self/status")
+
+
+def drawn(folder, count):
+    """Write a campaign of drops that all fit into the window of a log; return its file."""
+    source = np.random.default_rng(1)
+    pairs = [(source.uniform(4, 28), source.uniform(0.4, 0.85)) for _ in range(count)]
+    plans = [DropPlan(float(np.radians(round(slope, 1))), round(speed, 2)) for slope, speed in pairs]
+    return synthesize_gear(folder, seed=1, surface="lf", drops=plans) / "campaign.toml"
+
+
+def main():
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--drops", type=int, default=60)
+    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--population", type=int, default=400)
+    parser.add_argument("--finish", default="least-squares")
+    parser.add_argument("--max-generations", type=int)
+    chosen = parser.parse_args()
+    after = []
+
+    def on_run(progress, run, history):
+        cells = sum(stage.cube.nbytes + stage.cost.nbytes for stage in history.stages)
+        after.append((resident(), cells / MB))
+        print(
+            f"run {run + 1}: {after[-1][0]:.0f} MB, {after[-1][1]:.2f} MB of it are its populations",
+            flush=True,
+        )
+
+    FitProgress.on_run = on_run
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        prepare("lf")
+        for count in (2, chosen.drops):
+            path = drawn(folder / str(count), count)
+            before = resident()
+            kind, campaign, _ = open_campaign(path)
+            problem = kind.open(campaign, path, None)
+            print(f"{count} drops: {before:.0f} MB before, {resident():.0f} MB after they are opened")
+            del problem
+        options = FitOptions(
+            out=folder / "fit", quiet=True, runs=chosen.runs, population=chosen.population,
+            finish=chosen.finish, max_generations=chosen.max_generations, check=False,
+        )  # fmt: skip
+        fit_gear(path, options)
+    rises = np.diff([resident for resident, _ in after])
+    if rises.size:
+        print(f"each run adds {np.median(rises):.2f} MB (median), {rises.mean():.2f} MB (mean)")
+    print(f"at most {resident('VmHWM'):.0f} MB")
+
+
+if __name__ == "__main__":
+    main()
