@@ -55,7 +55,7 @@ def fit_gear(
 
 
 def _fit(fit: Any, campaign: Path, options: FitOptions, strict: bool, json: bool, **more: Any) -> int:
-    from sysid.workflows.show import print_fit, stopped_by_user
+    from sysid.workflows.show import is_unfinished, print_fit, stopped_by_user
 
     tell = unless(options.quiet)
     result, folder = fit(campaign, replace(options, quiet=options.quiet or json), say=tell, **more)
@@ -63,7 +63,7 @@ def _fit(fit: Any, campaign: Path, options: FitOptions, strict: bool, json: bool
         print_fit(result, folder, json)
     if stopped_by_user(result):
         return 130
-    return FLAGGED if strict and result.state != "done" else 0
+    return FLAGGED if strict and is_unfinished(result) else 0
 
 
 @command(app, "check", "sysid check data_samples/gear-lf")

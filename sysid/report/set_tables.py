@@ -16,7 +16,6 @@ from sysid.report.table import (
     Cell,
     Table,
     Tone,
-    half_width,
     interval,
     listed,
     mean_sigma,
@@ -239,11 +238,9 @@ def ladder_table(sets: ParameterSets) -> Table:
     )
 
 
-def truth_table(sets: ParameterSets, truth: Mapping[str, float], expected: Mapping[str, float]) -> Table:
-    """Return what the best set of a synthetic campaign found beside its `truth` [SI].
-
-    `expected` are the relative half-widths of the 95 % intervals that were expected before the fit [1].
-    """
+def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
+    """Return what the best set of a synthetic campaign found, and its interval, beside the `truth` [SI]."""
+    intervals = sets.settings.get(INTERVALS, {})
 
     def found(i: int) -> str:
         return in_place_of_digits(sets.settings, sets.names[i]) or rounded(sets.values[0, i])
@@ -253,8 +250,15 @@ def truth_table(sets: ParameterSets, truth: Mapping[str, float], expected: Mappi
         known = truth[name] and in_place_of_digits(sets.settings, name) is None
         return percent(sets.values[0, i] / truth[name] - 1, 1) if known else NONE
 
+    def inside(i: int) -> str | Cell:
+        if sets.names[i] not in intervals:
+            return NONE
+        known, value = intervals[sets.names[i]], truth[sets.names[i]]
+        (low, high), (below, above) = known["interval_95"], known["open_95"]
+        return "yes" if (below or low <= value) and (above or value <= high) else Cell("no", "doubtful")
+
     def within(i: int) -> str:
-        return half_width(expected[sets.names[i]]) if sets.names[i] in expected else NONE
+        return interval(intervals[sets.names[i]], 95) if sets.names[i] in intervals else NONE
 
     records = list(enumerate(sets.parameters))
     return table(
@@ -265,7 +269,8 @@ def truth_table(sets: ParameterSets, truth: Mapping[str, float], expected: Mappi
             numbers("true", lambda i: rounded(truth[sets.names[i]])),
             numbers("found", found),
             numbers("off", off, "%"),
-            numbers("expected half-width", within, "%"),
+            numbers("95 % interval", within),
+            words("true inside", inside),
         ),
     )
 

@@ -66,7 +66,7 @@ def run_demo(
         for what, path in _outputs(result, folder).items():
             written.append({"kind": result.kind, "what": what, "path": str(path), "nrmse": nrmse})
         truth = exact_json.loads((samples / name / "truth.json").read_text(encoding="utf-8"))
-        tables.append(truth_table(result.parameter_sets(), truth["parameters"], _expected(result)))
+        tables.append(truth_table(result.parameter_sets(), truth["parameters"]))
     seconds = time.perf_counter() - started
     if json:
         print(exact_json.dumps({"written": written, "seconds": seconds}))
@@ -80,11 +80,6 @@ def run_demo(
                 print(f"  {Path(row['path']).resolve()}")
         print("next, with your own logs: sysid new-campaign gear --minimal --from LOG... (or motor)")
     return written
-
-
-def _expected(result: FitResult) -> dict[str, float]:
-    """Return the relative 95 % half-widths that were expected before the fit, by parameter [1]."""
-    return {row["name"]: row["half_width"] for row in result.provenance.get("expected", ())}
 
 
 def _outputs(result: FitResult, folder: Path) -> dict[str, Path]:

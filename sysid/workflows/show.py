@@ -47,6 +47,12 @@ def stopped_by_user(result: FitResult) -> bool:
     return bool(result.provenance.get("cut_short") == "interrupted")
 
 
+def is_unfinished(result: FitResult) -> bool:
+    """Return whether a limit or the user cut a fit short, or a run of it ended by its budget."""
+    budgets = {"evaluations", "generations"}
+    return result.state != "done" or any(run.stop_reason in budgets for run in result.runs)
+
+
 def print_fit(result: FitResult, folder: Path, json: bool) -> None:
     """Print the sets of a fit and the fit's folder."""
     sets = result.parameter_sets()

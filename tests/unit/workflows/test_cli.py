@@ -127,6 +127,22 @@ def test_new_campaign_writes_a_template(tmp_path, run, refused):
     refused(["exists already"], "new-campaign", "motor", "--out", target)
 
 
+@pytest.mark.parametrize("verb", ["validate", "cross-validate"])
+def test_a_flagged_prediction_ends_with_code_3(verb, monkeypatch, tmp_path, run):
+    for flagged in (True, False):
+        for name in ("validate_fit", "cross_validate"):
+            monkeypatch.setattr(f"sysid.workflows.predict.{name}", lambda *_, **__: {"flagged": flagged})
+        more = (tmp_path / "campaign.toml",) if verb == "validate" else ()
+        code, out, _ = run(verb, tmp_path, *more, "--json")
+        assert (code, json.loads(out)) == (3 if flagged else 0, {"flagged": flagged})
+
+
+def test_an_unfinished_fit_ends_with_code_3_where_that_is_asked_for(drops, run):
+    """A run that its generations end is unfinished; without --strict its exit code is 0."""
+    assert run("fit-gear", drops, *SMALL, "--no-check", "--no-trust")[0] == 0
+    assert run("fit-gear", drops, *SMALL, "--no-check", "--no-trust", "--force", "--strict")[0] == 3
+
+
 def test_a_minimal_campaign_says_what_the_logs_say_and_refuses_the_rest(tmp_path, run, refused):
     """The sample drops: names, slopes (one board is seen too briefly), axes; nothing of another drone."""
     target = tmp_path / "mine.toml"
