@@ -104,6 +104,11 @@ def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
             put(group, "commands", trial.commands, "command, (time, level)", "s, 1")
 
 
+def fit_folder(path: Path) -> Path:
+    """Return a fit's folder from the folder or from the file of the sets in it."""
+    return path.parent if path.name == "fit.h5" else path
+
+
 def read_fit(path: str | Path) -> FitResult:
     """Read a fit folder, or its ``fit.h5``; FitError when that is missing, foreign, damaged or cut off."""
     path = Path(path)

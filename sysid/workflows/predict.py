@@ -16,7 +16,7 @@ import numpy as np
 from sysid.errors import FitError
 from sysid.fit.problem import ASSUMED_NOISE, Kind, Prediction, Problem, Words
 from sysid.fit.result import FitResult
-from sysid.fit.store import read_fit
+from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.trust.assessment import leave_one_out, linearize
@@ -27,7 +27,7 @@ from sysid.trust.validation import judge, judgement
 from sysid.types import FloatArray
 from sysid.workflows.kinds import naming_campaign, open_campaign
 from sysid.workflows.provenance import stated_campaign
-from sysid.workflows.reopen import fit_folder, open_fit
+from sysid.workflows.reopen import open_fit
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,15 +9,10 @@ from pathlib import Path
 from sysid.errors import FitError
 from sysid.fit.problem import Kind, Problem
 from sysid.fit.result import FitResult
-from sysid.fit.store import read_fit
+from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import notice
 from sysid.parameters import SearchSpace
 from sysid.workflows.kinds import naming_campaign, open_campaign
-
-
-def fit_folder(path: Path) -> Path:
-    """Return a fit's folder from the folder or from the file of the sets in it."""
-    return path.parent if path.name == "fit.h5" else path
 
 
 def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:

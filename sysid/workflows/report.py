@@ -11,7 +11,7 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import ExportError, SysidError
-from sysid.fit.store import read_fit
+from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import Say
 from sysid.report.drawing import save_figure
 from sysid.report.fit_report import FitReport
@@ -21,7 +21,6 @@ from sysid.trust.documents import with_intervals
 from sysid.workflows.kinds import find_report
 from sysid.workflows.options import ReportOptions
 from sysid.workflows.predict import predicted_fit
-from sysid.workflows.reopen import fit_folder
 
 
 def open_report(fit: str | Path, against: str | Path | None = None) -> FitReport:

@@ -8,7 +8,7 @@ from sysid import exact_json
 from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS
 from sysid.fit.result import FitResult
-from sysid.fit.store import read_fit
+from sysid.fit.store import fit_folder, read_fit
 from sysid.parameter_sets import ParameterSets
 from sysid.report.fold import print_lines, print_table
 from sysid.report.set_tables import (
@@ -19,7 +19,6 @@ from sysid.report.set_tables import (
     trial_table,
 )
 from sysid.trust.documents import with_intervals
-from sysid.workflows.reopen import fit_folder
 
 
 def load_sets(path: str | Path) -> ParameterSets:

@@ -131,7 +131,8 @@ def test_new_campaign_writes_a_template(tmp_path, run, refused):
 def test_a_flagged_prediction_ends_with_code_3(verb, monkeypatch, tmp_path, run):
     for flagged in (True, False):
         for name in ("validate_fit", "cross_validate"):
-            monkeypatch.setattr(f"sysid.workflows.predict.{name}", lambda *_, **__: {"flagged": flagged})
+            document = {"flagged": flagged}
+            monkeypatch.setattr(f"sysid.workflows.predict.{name}", lambda *_, d=document, **__: d)
         more = (tmp_path / "campaign.toml",) if verb == "validate" else ()
         code, out, _ = run(verb, tmp_path, *more, "--json")
         assert (code, json.loads(out)) == (3 if flagged else 0, {"flagged": flagged})
