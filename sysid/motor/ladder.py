@@ -33,7 +33,7 @@ from sysid.motor.static_curves import turns
 from sysid.motor.targets import PreparedTrial
 from sysid.parallel import LocalThreads
 from sysid.parameters import ParameterTable, SearchSpace
-from sysid.types import FloatArray
+from sysid.types import FloatArray, IntArray
 
 # Every rung's search, of two to some ten parameters. From the best set a search keeps to the valley of the
 # full model; 0.3 of the cube's edge, cma's own advice for a bounded one, leaves it where a better one is.
@@ -115,10 +115,10 @@ class LagProblem(MotorProblem):
         """Return the rows (P, n): nothing of a lag follows from the others."""
         return rows
 
-    def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return samples (P, n_total, 2) [SI] on the trials' grids; every lag reaches the end of all."""
-        delays = shifts(self.space.table, rows, self.prepared)
-        return lag.simulate_lag(rows, self.jobs, delays), np.ones((len(rows), len(self.jobs)))
+        delays, shape = shifts(self.space.table, rows, self.prepared), (len(rows), len(self.jobs))
+        return lag.simulate_lag(rows, self.jobs, delays), np.ones(shape), np.zeros(shape, dtype=np.int64)
 
 
 def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:

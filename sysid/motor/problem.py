@@ -13,10 +13,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign
 from sysid.fit.problem import NoiseModel, Prediction, Problem, Scores, Trial, tell_of_kernel
 from sysid.fit.result import FitResult
+from sysid.motor import kernel
 from sysid.motor.batch import SimulatedTrials, simulate_population
 from sysid.motor.bench_logs import log_hashes
 from sysid.motor.cost import CHANNEL_UNITS, CHANNELS, BenchCost, MotorTarget
@@ -28,7 +30,7 @@ from sysid.motor.static_curves import NoLoadTie, no_load_line
 from sysid.motor.targets import PreparedTrial, filter_design, measured_spectrum
 from sysid.parameters import SearchSpace
 from sysid.trials.look import inspect_recording, log_quality
-from sysid.types import BoolArray, FloatArray, Rotation
+from sysid.types import BoolArray, FloatArray, IntArray, Rotation
 
 # Local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
 FIT_TOLERANCE = 1e-5
@@ -61,6 +63,9 @@ class MotorProblem(Problem):
     stated_noise: FloatArray | None = None
     channels = CHANNELS
     units = CHANNEL_UNITS
+    # By the kernel's status. Too expensive: some hundred times the steps of an ordinary trial, a bound that a
+    # resumed fit meets at the same step, and below 0.1 s.
+    causes = ("no_steady_state", "too_expensive", "not_finite", "step_collapsed")
     known_words = "static curves and tares; ranges under parameters.measured"
 
     @classmethod
@@ -147,9 +152,12 @@ class MotorProblem(Problem):
         threads = self.threads or os.cpu_count() or 1
         share = max(1, threads, int(threads * _MEMORY / (16 * self.jobs.time.size)))
         parts = [rows[first : first + share] for first in range(0, len(rows), share)]
-        scored = [self.cost(*self.simulate(part), self.sensors(part), self.threads) for part in parts]
-        by_channel, failed = (np.concatenate(values) for values in zip(*scored, strict=True))
-        return Scores(by_channel, failed.astype(np.int8))
+        scored = []
+        for part in parts:
+            samples, reached, status = self.simulate(part)
+            by_channel, failed = self.cost(samples, reached, self.sensors(part), self.threads)
+            scored.append((by_channel, _causes(failed, status)))
+        return Scores(*(np.concatenate(values) for values in zip(*scored, strict=True)))
 
     def nrmse(self, rows: FloatArray) -> FloatArray:
         """Return the mean NRMSE (P,) of rows (P, n_table) [SI]."""
@@ -165,9 +173,9 @@ class MotorProblem(Problem):
     def predict(self, rows: FloatArray) -> Prediction:
         """Return scores and signals of rows (P, n_table) [SI], simulated once."""
         rows = self.complete(rows)
-        samples, reached = self.simulate(rows)
+        samples, reached, status = self.simulate(rows)
         by_channel, failed, signals = self.cost.compared(samples, reached, self.sensors(rows), self.threads)
-        return Prediction(by_channel, failed.astype(np.int8), signals)
+        return Prediction(by_channel, _causes(failed, status), signals)
 
     def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
         """Return the signals as compared, (P, n, 2) [SI] per trial, and which trials are lost (P, T)."""
@@ -179,15 +187,16 @@ class MotorProblem(Problem):
         """Samples of the simulation's grids."""
         return self.jobs.time.size
 
-    def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return samples (P, n_total, 2) [SI] on the trials' grids, and the share reached (P, T) [1]."""
+    def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Return samples (P, n_total, 2) [SI] on the trials' grids, share reached [1] and status (P, T)."""
         tell_of_kernel("the motor's kernels")
         runs = simulate_population(
             rows[:, : len(PARAMETERS)], self.jobs, delays=shifts(self.space.table, rows, self.prepared),
             tolerance=FIT_TOLERANCE, threads=self.threads, ideal_reversal=self.ideal_reversal,
         )  # fmt: skip
         # Success is a status, not a share that rounding could leave at 1 - 1e-16.
-        return runs.outputs, np.where(runs.status == 0, 1.0, np.minimum(runs.reached, 1.0 - 1e-9))
+        reached = np.where(runs.status == 0, 1.0, np.minimum(runs.reached, 1.0 - 1e-9))
+        return runs.outputs, reached, runs.status
 
     def sensors(self, rows: FloatArray) -> FloatArray:
         """Return torque delay, torque lag and speed lag (P, 3) [s] of rows."""
@@ -411,6 +420,11 @@ _ADVICE = {
         "R rests on the static curves: record more steady points, with propeller and without"
     ),
 }
+
+
+def _causes(failed: BoolArray, status: IntArray) -> NDArray[np.int8]:
+    """Return why trials (P, T) failed; one that ran to its end failed for an NRMSE that is not finite."""
+    return np.where(failed, np.where(status > 0, status, kernel.NOT_FINITE), 0).astype(np.int8)
 
 
 def sensor_noise(target: MotorTarget, channel: int) -> float:
