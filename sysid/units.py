@@ -14,12 +14,16 @@ from sysid.errors import UnitError
 
 # Spellings that instruments write and pint does not know.
 _SPELLINGS = {
-    "RPM": "rpm", "Rpm": "rpm", "RPS": "revolution/s", "rev/s": "revolution/s", "Ohm": "ohm",
+    "RPM": "rpm", "Rpm": "rpm", "U/min": "rpm", "r/min": "rpm", "min-1": "1/min", "RPS": "revolution/s",
+    "rev/s": "revolution/s", "Ohm": "ohm",
     "Nm": "N*m", "N-m": "N*m", "Nmm": "N*mm", "N-mm": "N*mm", "mNm": "mN*m",
     **dict.fromkeys(("lbf-in", "in-lbf", "in-lb", "in-lbs", "lb-in"), "lbf*inch"),
     **dict.fromkeys(("lbf-ft", "ft-lbf", "ft-lb", "ft-lbs", "lb-ft"), "lbf*foot"),
     "ºC": "degC", "º": "deg", "": "1", "-": "1",
 }  # fmt: skip
+
+# What a speed of rotation in revolutions per minute is written as, without its revolutions.
+_PER_MINUTE = ("1/min", "min^-1", "min⁻¹", "min-1")
 
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
 
@@ -50,6 +54,8 @@ def factor_to_si(unit: str, expected: str = "") -> float:
     base = _parse_unit(unit)
     if expected:
         wanted = _parse_unit(expected)
+        if unit.strip() in _PER_MINUTE and str(wanted.units) == "radian / second":
+            base = _parse_unit("rpm")
         # A frequency is no angular speed although both are 1/s: where the caller names an angle, the base
         # units are compared, radian included.
         mixes_hertz = "radian" in str(wanted.units) and "radian" not in str(base.units)

@@ -12,7 +12,16 @@ from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders.options import LogOptions
 from sysid.loaders.source import SPACES, Source, Text, read_text, shortened, split_line
-from sysid.loaders.table import HEADER_SEARCH, Numbers, TableHead, all_numeric, find_header, read_numbers
+from sysid.loaders.table import (
+    HEADER_SEARCH,
+    STAMPS,
+    Numbers,
+    TableHead,
+    all_numeric,
+    find_header,
+    read_numbers,
+    stamped,
+)
 from sysid.units import factor_to_si
 
 _BRACKETED = re.compile(r"^(?P<stem>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*?)\s*[)\]]$")
@@ -151,6 +160,10 @@ class DeclaredUnits:
             name.casefold() for name in (channel, column.label, split_label(column.label)[0], column.stem)
         ]
         match = next((key for name in names for key in self._declared if key.casefold() == name), None)
+        if column.unit == STAMPS:
+            if match is not None:
+                raise UnitError(f"{self.path}: times by ISO 8601 need no unit; leave {match} out of units")
+            return "us"
         if match is not None:
             self._used.add(match)
             declared = self._declared[match]
@@ -270,7 +283,7 @@ class NamedTable:
 
     def __init__(self, source: Source, options: LogOptions, *, renames: bool = True) -> None:
         self.path, self.text = source.path, read_text(source)
-        self.head = table_head(self.text, options.columns, renames=renames)
+        self.text, self.head = stamped(self.text, table_head(self.text, options.columns, renames=renames))
         self.columns = parse_header(self.head.names)
         self.declared = DeclaredUnits(self.path, options.units)
 

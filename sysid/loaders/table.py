@@ -13,7 +13,8 @@ import io
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
 from itertools import chain, islice
 from typing import Any
 
@@ -33,6 +34,9 @@ _MISSING = frozenset({"", "nan", "-nan", "+nan"})
 _SEARCHED, _PARSED = 1 << 18, (1 << 18, 1 << 20)
 # A comma that may part thousands.
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
+# What the header then says is the unit of a time by ISO 8601, and such a time.
+STAMPS = "ISO 8601"
+_STAMP = r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?(?:[Zz]|[+-]\d\d(?::?\d\d)?)?"
 # Rows that are parted at once.
 _BATCH = 4096
 # More blank cells than this behind the last column of a row is no trailing delimiter.
@@ -153,6 +157,7 @@ def read_numbers(
     free_text: int | None = None,
     decimal: str | None = None,
     ends: Sequence[int] = (),
+    again: bool = False,
 ) -> Numbers:
     """Parse the wanted columns of a table, counted from 0.
 
@@ -162,7 +167,8 @@ def read_numbers(
     rows have, whose numbers are not below their names. A row may end, with a delimiter, after one of the
     numbers of cells in `ends`. With `surplus`, rows may have filled cells beyond the header, behind the words
     in column `free_text`, which may contain delimiters. The `decimal` mark is judged from the first cells
-    that have one. A table without rows, a cell that is no number and most rows out of place are a LogError.
+    that have one. With `again`, the header may stand again between rows. A table without rows, a cell that is
+    no number and most rows out of place are a LogError.
     """
     path = text.path
     empty = LogError(f"{path}: no rows of numbers after line {max(head.line, 1)}; the log is empty")
@@ -172,9 +178,12 @@ def read_numbers(
     if end <= head.offset:
         raise empty
     body = _measure(text.data, head.offset, end, head.delimiter, head.line + 1)
+    notes = list(text.notes)
+    if again:
+        body, headers = _without_headers(body, text.data, head.offset)
+        notes += headers
     if not body.lines.size:
         raise empty
-    notes = list(text.notes)
     if decimal is None:
         decimal = _decimal_mark(path, body, wanted)
     open_end = not closed
@@ -209,6 +218,52 @@ def read_numbers(
         sentence = f"cells with an infinite number: {infinite}; taken as missing"
         notes.append(note("infinite-cells", sentence))
     return numbers
+
+
+def stamped(text: Text, head: TableHead) -> tuple[Text, TableHead]:
+    """Return a table whose ISO 8601 times are microseconds since the first, and its column says so."""
+    lines = (line for _, _, line in text.lines(HEADER_SEARCH, head.offset) if line.strip())
+    cells = split_line(next((line for line in lines if not line.startswith("#")), ""), head.delimiter)
+    stamps = [cell.strip().strip('"') for cell in cells]
+    place = next((i for i, stamp in enumerate(stamps) if re.fullmatch(_STAMP, stamp)), None)
+    if place is None or place >= len(head.names):
+        return text, head
+    mark = r"\s+" if head.delimiter == SPACES else head.delimiter
+    cell = rf"[^{head.delimiter}\n]*{mark}"
+    pattern = re.compile(rf'^((?:{cell}){{{place}}})\s*"?({_STAMP})"?\s*?(?={mark}|$)'.encode(), re.MULTILINE)
+
+    def read(stamp: str) -> datetime:
+        return datetime.fromisoformat(stamp.replace(",", "."))
+
+    def count(match: re.Match[bytes]) -> bytes:
+        return b"%s%d" % (match[1], (read(match[2].decode()) - first) // timedelta(microseconds=1))
+
+    try:
+        first = read(stamps[place])
+        body = pattern.sub(count, text.data[head.offset :])
+    except (ValueError, TypeError, OverflowError) as error:
+        raise LogError(
+            f"{text.path}: the times in column {shortened(head.names[place])!r} are not all ISO 8601 of one "
+            f"kind ({error}); write all with an offset from UTC, or none"
+        ) from error
+    name = f"{re.sub(r' *[([].*', '', head.names[place])} ({STAMPS})"
+    names = (*head.names[:place], name, *head.names[place + 1 :])
+    sentence = f"column {shortened(head.names[place])!r} has ISO 8601 times: counted from {stamps[place]}"
+    said = (*text.notes, note("times-are-stamps", sentence))
+    return Text(text.path, text.data[: head.offset] + body, said), replace(head, names=names)
+
+
+def _without_headers(body: _Rows, data: bytes, offset: int) -> tuple[_Rows, list[Finding]]:
+    """Return the rows that are no copy of the header line, which ends before byte `offset`, and a note."""
+    header = data[data.rfind(b"\n", 0, offset - 1) + 1 : offset - 1]
+    rows = np.flatnonzero(body.lengths == len(header)).tolist()
+    copies = [row for row in rows if data.startswith(header, int(body.begins[row]))]
+    if not copies:
+        return body, []
+    kept = np.ones(body.lines.size, dtype=np.bool_)
+    kept[copies] = False
+    sentence = f"the header stands again in line {body.lines[copies[0]]}: logs may be joined in this file"
+    return body.part(kept), [Finding("header-again", sentence)]
 
 
 def _blank_short(

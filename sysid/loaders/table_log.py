@@ -24,6 +24,10 @@ from sysid.units import parse_quantity
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # Channels of the loads on these axes.
 _LOADS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
+# Rows count as fast from this share of the highest speed [1]. A motor gives at most its electrical power, but
+# probes err. Thrust over power is one over the speed of the air in the disk: 1 m/s is slower than any drone's
+# propeller at its highest speeds drives it, 200 m/s is faster. It must grow with Ω² to be a propeller's.
+_FAST, _MOST_EFFICIENT, _PER_WATT, _GROWS, _FEWEST = 0.7, 1.3, (0.005, 1.0), 0.9, 6
 # Units as a channel shows them.
 _SHOWN = {"N*m": "N·m", "m/s^2": "m/s²"}
 
@@ -125,6 +129,46 @@ def _load_channels(path: str, raw: RawTable, loads: FloatArray, options: BenchOp
     return {name: quantity_channel(name, raw.time, load[:, i].copy()) for i, name in enumerate(_LOADS)}
 
 
+def _power_findings(channels: Mapping[str, Channel]) -> list[Finding]:
+    """Return warnings where thrust, torque, speed and electrical power cannot belong to one propeller.
+
+    A unit that is wrong by 4.4 (lbf for N) passes; one that is wrong by 100 or 1000 (kgf for gf) does not.
+    """
+    speed, none = channels["speed"].values if "speed" in channels else np.empty(0), np.empty(0)
+    if not np.isfinite(speed).any():
+        return []
+    # The speed of pulses is on a clock of its own, where nothing else is.
+    thrust, torque, voltage, current = (
+        channels[name].values if name in channels and channels[name].values.size == speed.size else none
+        for name in ("thrust", "torque", "voltage", "current")
+    )
+    fast = np.abs(speed) >= _FAST * np.nanmax(np.abs(speed))
+
+    def middle(values: FloatArray) -> float:
+        seen = np.abs(values[fast & np.isfinite(values)]) if values.size else none
+        return float(np.median(seen)) if seen.size else 0.0
+
+    shaft = middle(torque * speed) if torque.size else 0.0
+    supply = middle(voltage * current) if voltage.size and current.size else 0.0
+    sentences = []
+    if supply > 0 and shaft > _MOST_EFFICIENT * supply:
+        sentences.append(
+            f"torque × speed is {shaft:.3g} W at the highest speeds where voltage × current is {supply:.3g} "
+            "W, which no motor gives: check the units of torque, speed and current"
+        )
+    whole = np.isfinite(speed * thrust) if thrust.size else np.zeros(speed.size, dtype=np.bool_)
+    pull, square = middle(thrust), speed[whole] ** 2
+    grows = whole.sum() >= _FEWEST and np.ptp(square) > 0 and np.ptp(thrust[whole]) > 0
+    if grows and abs(np.corrcoef(thrust[whole], square)[0, 1]) > _GROWS:
+        for name, power in (("torque × speed", shaft), ("voltage × current", supply)):
+            if power > 0 and not _PER_WATT[0] <= pull / power <= _PER_WATT[1]:
+                sentences.append(
+                    f"thrust over {name} is {pull / power:.3g} N/W at the highest speeds; propellers give "
+                    f"{_PER_WATT[0]:g} to {_PER_WATT[1]:g} N/W: check the units of both"
+                )
+    return [Finding("implausible-power", sentence) for sentence in sentences]
+
+
 def _recording(
     source: Source, name: str, parse: Callable[[Source, BenchOptions], RawTable], options: BenchOptions
 ) -> Recording:
@@ -134,6 +178,7 @@ def _recording(
     channels = raw.channels
     if raw.loads is not None:
         channels |= _load_channels(source.path, raw, raw.loads, options)
+    raw.notes += _power_findings(channels)
     provenance = source.provenance(name, device=raw.device, options=options, notes=raw.notes)
     return Recording(raw.kind, channels, provenance)
 

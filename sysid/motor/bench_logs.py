@@ -62,6 +62,9 @@ def read_log(
     ratio = _electrical_share(recording)
     if ratio is not None:
         notice("wrong-pole-count", trial_log.wrong_poles(ratio), trial=entry.log)
+    for finding in recording.provenance.notes:
+        if finding.severity == "warning" and finding.code != "pole-count":
+            notice(finding.code, finding.sentence, trial=entry.log)
     second = None
     if entry.second_log is not None:
         # Another instrument: the campaign's `[log]` does not describe it.

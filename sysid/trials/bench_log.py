@@ -189,17 +189,35 @@ def tare(values: FloatArray, at_rest: BoolArray) -> Tare:
 def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> BoolArray:
     """Return True (n,) where no command u is given and nothing turns, nor has turned for the last 0.5 s.
 
-    A probe of the speed [rad/s] that sees nothing pass reads zero.
+    A probe of the speed [rad/s] that sees nothing pass reads zero. One that never reads zero without a
+    command is noisy: below five times its noise nothing turns.
     """
-    rest = np.abs(u) < AT_REST
+    idle = np.abs(u) < AT_REST
+    rest = idle
     if speed is not None:
-        rest &= np.nan_to_num(speed) == 0
+        rest = idle & (np.nan_to_num(speed) == 0)
+        if not rest.any():
+            rest = idle & (np.abs(speed) <= _noise_at_rest(time, np.nan_to_num(speed), idle))
     moving = time[~rest]
     if moving.size == 0:
         return rest
     index = np.searchsorted(moving, time)
     since = time - moving[np.maximum(index - 1, 0)]
     return rest & ((index == 0) | (since > _RINGING))
+
+
+def _noise_at_rest(time: FloatArray, speed: FloatArray, idle: BoolArray) -> float:
+    """Return five times the noise of the speed in the quietest 0.5 s without a command [rad/s].
+
+    It is at most what counts as standing, so that a rotor that never stood does not seem to.
+    """
+    rows = max(round(_RINGING / float(np.median(np.diff(time)))), 2) if time.size > 1 else 2
+    if time.size < rows:
+        return 0.0
+    squares, idles = (np.append(0.0, np.cumsum(x)) for x in (np.where(idle, speed**2, 0.0), idle))
+    whole = idles[rows:] - idles[:-rows] == rows
+    quietest = np.min((squares[rows:] - squares[:-rows])[whole], initial=np.inf)
+    return float(min(5.0 * np.sqrt(max(quietest, 0.0) / rows), _STANDS * np.max(np.abs(speed))))
 
 
 def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatArray:

@@ -25,6 +25,7 @@ from sysid.storage import check_file
 from sysid.trials.look import BenchReport, ChannelReport, DropReport, LogReport, inspect_recording
 
 _MOST_ROWS = 40
+_HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5")
 Draw = Callable[[Sequence[Recording], Sequence[LogReport]], Path]
 
 
@@ -123,6 +124,8 @@ def convert_file(
     sources = (path,) if second is None else (path, second.path)
     if to.resolve() in {source.resolve() for source in sources}:
         raise LogError(f"{to} is the log itself, which is never replaced; choose a new name")
+    if to.suffix.lower() not in _HDF5_SUFFIXES:
+        raise LogError(f"{to}: what is written is HDF5; name it {to.with_suffix('.h5').name}")
     check_file(to, force=force, error_type=LogError)
     recording = load(path, format=format_name, **(options or {}))
     alignment = ""

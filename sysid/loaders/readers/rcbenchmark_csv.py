@@ -23,7 +23,7 @@ from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source, split_line
 from sysid.loaders.table import Numbers
 from sysid.loaders.table_log import RawTable, table_format
-from sysid.recording import Channel, FloatArray
+from sysid.recording import BoolArray, Channel, FloatArray
 
 _COMMAND = frozenset({"esc signal", "esc"})
 # channel: (stem in the header, unit of the channel)
@@ -51,10 +51,31 @@ _PULSE = (700.0, 2300.0)
 _STATIC_STEP = 0.2
 
 
-def _is_static(time: FloatArray) -> bool:
-    """Return whether rows are averaged points: half of them or more lie over 0.2 s from the next."""
-    known = time[np.isfinite(time)]
+def _is_static(time: FloatArray, again: BoolArray) -> bool:
+    """Return whether rows are averaged points: half of them or more lie over 0.2 s from the next.
+
+    Rows that stand `again`, copies of the row before, do not count.
+    """
+    known = time[np.isfinite(time) & ~again]
     return known.size > 1 and float(np.median(np.abs(np.diff(known)))) >= _STATIC_STEP
+
+
+def _point_notes(numbers: Numbers, time: FloatArray | None) -> list[Finding]:
+    """Return notes on averaged points: what the table is, rows that stand twice, a clock that restarts."""
+    sentence = "static map: each row is one averaged point, and every clock is the point number, not seconds"
+    notes = [note("static-map", sentence)]
+    rows = [row.tobytes() for row in numbers.stacked(numbers.columns)]
+    first = {row: place for place, row in reversed(list(enumerate(rows)))}
+    twice = [place for place, row in enumerate(rows) if first[row] != place]
+    if twice:
+        line = numbers.lines[twice[0]]
+        sentence = f"rows that stand twice: {len(twice)} (first: line {line}); each counts as a point"
+        notes.append(Finding("repeated-points", sentence))
+    back = numbers.lines[1:][np.diff(time) < 0] if time is not None else numbers.lines[:0]
+    if back.size:
+        sentence = f"the clock starts again {back.size} times (first: line {back[0]})"
+        notes.append(Finding("clock-restarts", f"{sentence}: several tables may be joined in this file"))
+    return notes
 
 
 def _choose_speed(
@@ -135,28 +156,49 @@ def _messages(table: NamedTable, column: Column) -> list[Finding]:
             continue
         cells = split_line(line, table.head.delimiter)
         message = cells[column.index].strip() if column.index < len(cells) else ""
-        if message and len(messages) < _MOST_MESSAGES:
+        if message not in ("", column.label) and len(messages) < _MOST_MESSAGES:
             messages.setdefault(message[:80], number)
     shown = "; ".join(f"{message!r} (line {number})" for message, number in messages.items())
     return [note("stand-messages", f"messages of the stand's program: {shown}")] if shown else []
 
 
 def _clock(
-    path: str, numbers: Numbers, column: Column | None, seconds: float, options: BenchOptions
+    path: str,
+    numbers: Numbers,
+    columns: tuple[Column | None, Column],
+    seconds: float,
+    options: BenchOptions,
 ) -> tuple[FloatArray, FloatArray | None, list[Finding]]:
-    """Return the clock [s], and instead of it point numbers and the stand's times where rows are averaged."""
+    """Return the clock [s], and instead of it point numbers and the stand's times where rows are averaged.
+
+    `columns` are those of the time and of the command.
+    """
+    column, command = columns
+    again = np.ones(numbers.lines.size, dtype=np.bool_)
+    again[0] = False
+    for values in numbers.columns.values():
+        again[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     written = None if column is None else numbers.columns[column.index] * seconds
     static = options.static
-    if static is None:
-        static = written is not None and _is_static(written)
-    elif static is False and written is not None and _is_static(written):
+    if static is None and written is None:
+        levels = numbers.columns[command.index]
+        static = bool(np.count_nonzero(np.diff(levels)) * 2 >= levels.size - 1 > 0)
+        if not static:
+            raise LogError(
+                f'{path}: no column "Time", so rows have no clock; '
+                "if each row is one averaged point, say so with static = true"
+            )
+    elif static is None:
+        static = written is not None and _is_static(written, again)
+    elif static is False and written is not None and _is_static(written, again):
         raise LogError(
             f"{path}: rows lie {float(np.nanmedian(np.abs(np.diff(written)))):.3g} s apart (median): "
             "averaged points, not a running log; leave static out, or record the log at the stand's full rate"
         )
     if static or column is None:
         points = np.arange(numbers.lines.size, dtype=np.float64)
-        return points, points if written is None else written, []
+        notes = _point_notes(numbers, written)
+        return points, points if written is None else written, notes
     time, ordered = order_rows(
         path, numbers, column.index, seconds, stale_start=True, time_back=options.time_back or "refuse"
     )
@@ -175,11 +217,8 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     if not any(name in columns for name in _MEASURED):
         raise table.missing('"Thrust", "Torque" or "Motor Optical Speed"')
     clock = table.find({"time"})
-    if clock is None and not options.static:
-        raise LogError(
-            f'{path}: no column "Time", so rows have no clock; '
-            "if each row is one averaged point, say so with static = true"
-        )
+    if clock is None and options.static is False:
+        raise LogError(f'{path}: no column "Time", so rows have no clock; leave static = false out')
     temperatures = [column for column in header if (column.unit or "") in ("ºC", "°C", "degC")]
 
     wanted = [command, *(column for column, _ in columns.values()), *temperatures]
@@ -190,9 +229,9 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     # commas. A row that ends before it, or before the delimiter behind it, has lost cells somewhere.
     least = len(header) if words is None else words + 1 + min(table.head.trailing, 1)
     messages = [] if message is None else _messages(table, message)
-    numbers = table.read(wanted, least=least, surplus=True, free_text=words)
+    numbers = table.read(wanted, least=least, surplus=True, free_text=words, again=True)
     seconds = declared.factor(clock, "time", "s") if clock else 1.0
-    time, points, ordered = _clock(path, numbers, clock, seconds, options)
+    time, points, ordered = _clock(path, numbers, (clock, command), seconds, options)
     stems = {column.stem for column in header}
     series = " Series 1580/1585" if "accx" in stems else " Series 1780" if "esc" in stems else ""
     series = series or ("" if "torque" in stems else " Series 1520")
@@ -217,10 +256,6 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         raw.kind = "static-map"
         if clock is not None:
             raw.channels["log_time"] = Channel("log_time", "s", time, points)
-        sentence = (
-            "static map: each row is one averaged point, and every clock is the point number, not seconds"
-        )
-        raw.notes.append(note("static-map", sentence))
     return raw
 
 

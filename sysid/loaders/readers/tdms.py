@@ -11,6 +11,7 @@ channel beside them or the declared rate. The thinned copies that SignalExpress 
 
 from __future__ import annotations
 
+import io
 import mmap
 import re
 import struct
@@ -25,7 +26,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.binary import BoundedPath, check_claim, length_note, library, reading
+from sysid.loaders.binary import BoundedPath, length_note, library, reading
 from sysid.loaders.columns import factor_or_none, listing_note
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
@@ -129,8 +130,8 @@ def _check_segments(
 
 
 def _signals(path: str, file: Any, notes: list[Finding], declared: float | None) -> list[Signal]:
-    (restarts, end), size = _waveform_starts(path), Path(path).stat().st_size
-    notes += length_note(end, size)
+    restarts, end = _waveform_starts(path)
+    notes += length_note(end, Path(path).stat().st_size)
     signals, thinned, other, spectra = [], [], [], []
     waves = [(group, channel) for group in file.groups() for channel in group.channels()]
     begins = {}
@@ -149,7 +150,6 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
             continue
         if not len(channel):
             continue
-        check_claim(path, name, len(channel), size)  # a byte a sample is the least
         if channel.dtype is None or np.dtype(channel.dtype).kind not in "iufbM":
             other.append(name)
             continue
@@ -183,6 +183,19 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
 
 
 @contextmanager
+def _heard(nptdms: Any, notes: list[Finding]) -> Iterator[None]:
+    """Make notes of what the library says of a file, once each, instead of lines on the terminal."""
+    handler, said = nptdms.log.log_manager.console_handler, io.StringIO()
+    before = handler.setStream(said)
+    try:
+        yield
+    finally:
+        handler.setStream(before)
+        lines = dict.fromkeys(line.partition("] ")[2] for line in said.getvalue().splitlines())
+        notes += [Finding("library-warns", f"npTDMS: {line}") for line in lines]
+
+
+@contextmanager
 def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     path = source.path
     nptdms = library(path, "nptdms", "npTDMS")
@@ -190,7 +203,12 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
         raise LogError(f"{path}: not a TDMS file (it does not begin with TDSm); check the format")
     notes: list[Finding] = []
     damaged = reading(path, "TDMS file", "copy or export it again")
-    with damaged, BoundedPath(path).open() as stream, nptdms.TdmsFile.open(stream) as file:
+    with (
+        damaged,
+        _heard(nptdms, notes),
+        BoundedPath(path).open() as stream,
+        nptdms.TdmsFile.open(stream) as file,
+    ):
         device = f"NI TDMS {file.properties.get('name', '')}".strip()
         yield RawSignals(_signals(path, file, notes, options.rate), device, measured=False, notes=notes)
 

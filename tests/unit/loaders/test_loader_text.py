@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from sysid.errors import LogError
-from sysid.loaders import table
+from fakes.log_files import notes, refuses
+from sysid.errors import LogError, UnitError
+from sysid.loaders import load, table
 from sysid.loaders.clock import jitter_note
 from sysid.loaders.columns import split_label, table_head
 from sysid.loaders.source import Source, read_text
@@ -129,3 +130,33 @@ def test_the_hash_is_of_the_bytes_that_were_read(write):
     path.unlink()
     with pytest.raises(LogError, match="changed while it was read"):
         _ = gone.sha256
+
+
+STAMPED = "Time (UTC),Fz (N),Mz (N·m)\n"
+
+
+def stamped(stamp="2026-11-22T10:59:59.{:03d}Z", mark=","):
+    return "".join(f"{stamp.format(10 * i)}{mark}{i}{mark}5\n" for i in range(50))
+
+
+@pytest.mark.parametrize(("head", "rows"), [
+    (STAMPED, stamped()),
+    (STAMPED, stamped("2026-11-22 10:59:59.{:03d}")),
+    (STAMPED, stamped('"2026-11-22T10:59:59.{:03d}000+02:00"')),
+    (STAMPED.replace(",", ";"), stamped("2026-11-22T10:59:59,{:03d}", ";")),
+    ("Time Fz[N] Mz[N*m] RPM\n", stamped().replace(",", "   ").replace("\n", " 7\n")),
+])  # fmt: skip
+def test_times_by_iso_8601_count_from_the_first(write, head, rows):
+    log = load(write(head + rows, "log.csv"))
+    np.testing.assert_allclose(log["thrust"].time, np.arange(50) * 0.01, atol=1e-9)
+    np.testing.assert_array_equal(log["thrust"].values, np.arange(50.0))
+    assert "has ISO 8601 times: counted from 2026-11-22" in notes(log)
+
+
+def test_times_by_iso_8601_that_contradict_each_other_are_refused(write):
+    one_naive = stamped().replace("59.020Z", "59.020")
+    refuses(write(STAMPED + one_naive, "log.csv"), "are not all ISO 8601 of one kind")
+    refuses(write(STAMPED + stamped().replace("-11-", "-13-"), "log.csv"), "month must be in 1..12")
+    word = stamped().replace("2026-11-22T10:59:59.020Z", "later")
+    refuses(write(STAMPED + word, "log.csv"), "line 4: 'later' in column .* is not a number")
+    refuses(write(STAMPED + stamped(), "log.csv"), "leave time out of units", UnitError, units={"time": "s"})

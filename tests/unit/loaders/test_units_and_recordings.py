@@ -16,6 +16,20 @@ from sysid.recording import Channel, Provenance, Recording
 from sysid.units import factor_to_si, parse_quantity
 
 
+@pytest.mark.parametrize("unit", ["1/min", "min⁻¹", "min^-1", "min-1", "U/min", "r/min"])
+def test_revolutions_per_minute_go_by_many_names(write, unit):
+    assert factor_to_si(unit, "rad/s") == pytest.approx(math.pi / 30, rel=1e-12)
+    rows = "".join(f"{i * 0.01:.2f},{60 * i},1.0\n" for i in range(20))
+    log = load(write(f"Time (s),RPM [{unit}],Fz (N)\n{rows}", "log.csv"))
+    assert log["speed"].values[1] == pytest.approx(2 * math.pi, rel=1e-12)
+
+
+def test_a_frequency_stays_a_frequency():
+    assert factor_to_si("1/min", "Hz") == pytest.approx(1 / 60, rel=1e-12)
+    with pytest.raises(UnitError):
+        factor_to_si("1/s", "rad/s")
+
+
 @pytest.mark.parametrize(("unit", "factor"), [
     ("RPM", math.pi / 30),
     ("rev/s", 2 * math.pi),

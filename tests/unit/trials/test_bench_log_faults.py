@@ -10,7 +10,7 @@ from sysid.errors import CampaignError, LogError, SysidWarning
 from sysid.motor.inertia import spike_inertia
 from sysid.motor.known_values import prepare_bench
 from sysid.motor.model import PARAMETERS
-from sysid.trials.bench_log import CommandSteps, standing_command
+from sysid.trials.bench_log import CommandSteps, rows_at_rest, standing_command
 
 pytestmark = pytest.mark.filterwarnings("ignore:no Kv in the campaign", "ignore:no thrust")
 
@@ -156,3 +156,31 @@ def test_a_late_start_and_a_cut_are_not_standing() -> None:
     assert standing_command(time, late, steps, (0.0, 4.0)) is None
     cut = np.where((time > 1.1) & (time < 1.5), 300.0, 0.0)
     assert standing_command(time, cut, steps, (0.0, 4.0)) is None
+
+
+@pytest.mark.parametrize("noise", ["white", "low-passed", "none"])
+def test_a_noisy_speed_at_rest_is_at_rest(noise):
+    """10 kHz, ± 1.3 rad/s where nothing turns; the rotor runs from 1 to 2 s and coasts with 0.1 s."""
+    random, time = np.random.default_rng(1), np.arange(0.0, 4.0, 1e-4)
+    u = np.where((time >= 1) & (time < 2), 0.5, 0.0)
+    speed = np.where(time < 2, 800 * (1 - np.exp(-np.maximum(time - 1, 0) / 0.1)), 0.0)
+    speed = np.where(time >= 2, 800 * np.exp(-(time - 2) / 0.1), speed)
+    white = random.normal(size=time.size)
+    if noise == "white":
+        speed = speed + 1.3 / 3 * white
+    elif noise == "low-passed":  # over 2 ms
+        slow = np.convolve(white, np.ones(20), "same")
+        speed = speed + 1.3 / 3 * slow / slow.std()
+    else:
+        speed[np.abs(speed) < 0.5] = 0.0
+    rest = rows_at_rest(time, u, speed)
+    assert rest[time < 1].mean() > 0.99
+    # 800 rad/s are below the noise after 0.6 to 0.8 s; sensors ring for 0.5 s more.
+    assert not rest[(time >= 1) & (time < 3)].any()
+    assert rest[time > 3.5].mean() > 0.99
+
+
+def test_a_rotor_that_never_stood_has_no_row_at_rest():
+    time = np.arange(0.0, 2.0, 1e-3)
+    speed = 400 + np.random.default_rng(1).normal(size=time.size)
+    assert not rows_at_rest(time, np.zeros(time.size), speed).any()

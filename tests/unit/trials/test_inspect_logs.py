@@ -292,6 +292,8 @@ def test_converted_recordings_read_back_equal(tmp_path, names, seed, notes):
 def test_convert_refuses_to_replace_and_damage_is_named(tmp_path):
     source, to = tmp_path / "cell.csv", tmp_path / "out.h5"
     source.write_text("Time (s),Fz (N)\n0,1\n1e-3,2\n", encoding="utf-8")
+    with pytest.raises(LogError, match=r"what is written is HDF5; name it out\.h5"):
+        convert_file(source, to.with_name("out.csv"))
     assert "wrote" in convert_file(source, to)
     with pytest.raises(LogError, match=r"exists already.*--force"):
         convert_file(source, to)
