@@ -10,6 +10,7 @@ between two readings of a sensor are kept as recorded.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -58,6 +59,11 @@ def _is_static(time: FloatArray, again: BoolArray) -> bool:
     """
     known = time[np.isfinite(time) & ~again]
     return known.size > 1 and float(np.median(np.abs(np.diff(known)))) >= _STATIC_STEP
+
+
+def _names_time(header: tuple[Column, ...]) -> bool:
+    """Return whether a column may be a clock by another name."""
+    return any(re.search("time|clock", column.label, re.IGNORECASE) for column in header)
 
 
 def _point_notes(numbers: Numbers, time: FloatArray | None) -> list[Finding]:
@@ -217,8 +223,11 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     if not any(name in columns for name in _MEASURED):
         raise table.missing('"Thrust", "Torque" or "Motor Optical Speed"')
     clock = table.find({"time"})
-    if clock is None and options.static is False:
-        raise LogError(f'{path}: no column "Time", so rows have no clock; leave static = false out')
+    if clock is None and (options.static is False or (options.static is None and _names_time(header))):
+        raise LogError(
+            f'{path}: no column "Time", so rows have no clock; '
+            "if each row is one averaged point, say so with static = true"
+        )
     temperatures = [column for column in header if (column.unit or "") in ("ºC", "°C", "degC")]
 
     wanted = [command, *(column for column, _ in columns.values()), *temperatures]

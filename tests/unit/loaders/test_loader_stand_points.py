@@ -79,4 +79,5 @@ def test_points_without_a_clock_are_points_where_the_command_differs(write):
     assert table(write, head, lines).kind == "static-map"
     held = [lines[0]] * 30
     refuses(write("\n".join([head, *held, ""])), 'no column "Time".* static = true')
-    refuses(write("\n".join([head, *lines, ""])), "leave static = false out", static=False)
+    refuses(write("\n".join([head, *lines, ""])), "rows have no clock", static=False)
+    refuses(write("\n".join(["Clock (s)," + head, *rows(), ""])), "rows have no clock")
