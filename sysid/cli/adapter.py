@@ -127,7 +127,8 @@ def _parameters(parts: list[tuple[str, Any, Any]], panel: str = "") -> Iterator[
                 kind, values = (Path if kind is Path else str), values and not mark.read
             shown_as = "QUANTITY" if mark.unit else _VALUES.get(kind)
             if mark.unit:
-                help = f"{help.removesuffix('.')} [{mark.unit}]."
+                # Behind the first sentence.
+                help = re.sub(r"\.(?= |$)", f" [{mark.unit}].", help, count=1)
             if mark.read or mark.unit or mark.default or values:
                 # What the user does not give keeps the default of the dataclass or function, see `_values`.
                 shown = mark.default or (

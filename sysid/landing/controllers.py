@@ -9,7 +9,7 @@ A controller is a list of steps. A new one takes ten lines::
         "Little thrust for a while, then full reverse."
         return [Step(0.0, 0.3, 0.3), Step(pause, -1.0, -1.0)]
 
-and is then known by its name to this package, and to the command line with ``--controllers FILE.py``.
+and is then known by its name to this package, and to the command line with ``--controller-file FILE.py``.
 """
 
 from __future__ import annotations

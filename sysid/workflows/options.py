@@ -199,7 +199,8 @@ Dask = Annotated[
     Flag("Compute on a Dask cluster: an address, tcp://host:8786, or the word local.", panel=_COMPUTING),
 ]
 Threads = Annotated[
-    int | None, Flag("Use this many cores. The result does not depend on it.", least=1, panel=_COMPUTING)
+    int | None,
+    Flag("Use this many cores. The result does not depend on it.", least=1, default="all", panel=_COMPUTING),
 ]
 Surface = Annotated[
     str | None, Flag("Use this friction law instead of the campaign's, for example lf or hf.")
@@ -226,12 +227,17 @@ class FitOptions:
     ] = None
     force: Force = False
     population: Annotated[
-        int | None, Flag("Individuals per generation. The algorithm has a default.", least=8, panel=_SEARCH)
+        int | None, Flag("Individuals per generation.", least=8, default="the algorithm's", panel=_SEARCH)
     ] = None
-    runs: Annotated[int | None, Flag("Number of independent runs.", least=1, panel=_SEARCH)] = None
-    seed: Annotated[int | None, Flag("Seed of the random numbers.", least=0, panel=_SEARCH)] = None
+    runs: Annotated[
+        int | None, Flag("Number of independent runs.", least=1, default="the campaign's", panel=_SEARCH)
+    ] = None
+    seed: Annotated[
+        int | None, Flag("Seed of the random numbers.", least=0, default="the campaign's", panel=_SEARCH)
+    ] = None
     max_generations: Annotated[
-        int | None, Flag("End every run after this many generations.", least=1, panel=_SEARCH)
+        int | None,
+        Flag("End every run after this many generations.", least=1, default="the campaign's", panel=_SEARCH),
     ] = None
     time_limit: Annotated[
         float | None,
@@ -241,11 +247,15 @@ class FitOptions:
     quiet: Quiet = False
     algorithm: Annotated[
         Literal["ga", "matlab-ga", "cmaes", "de", "pso"] | None,
-        Flag("Use this search algorithm instead of the campaign's.", panel=_SEARCH),
+        Flag("Search algorithm.", default="the campaign's", panel=_SEARCH),
     ] = None
     finish: Annotated[
         Literal["least-squares", "cmaes", "none"] | None,
-        Flag("Let this follow every run. 'none' is the paper's method.", panel=_SEARCH),
+        Flag(
+            "Let this follow every run. 'none' is the paper's method.",
+            default="the campaign's",
+            panel=_SEARCH,
+        ),
     ] = None
     max_evaluations: Annotated[
         int | None, Flag("End the fit after this many candidates.", least=1, panel=_SEARCH)
@@ -282,13 +292,17 @@ class TrustOptions:
 class ReportOptions:
     """What a report shows and which further files are written."""
 
-    out: Annotated[Path | None, Flag("Write the page to this file.", default="FIT/report.html")] = None
+    out: Annotated[
+        Path | None, Flag("Write the page to this file.", default="FIT/report.html", panel=_OUTPUT)
+    ] = None
     against: Annotated[
         Path | None, Flag("Campaign with other trials, which the sets predict.", read=_campaign_named)
     ] = None
-    figure: Annotated[Path | None, Flag("Write every figure as PDF to this folder.")] = None
-    gif: Annotated[Path | None, Flag("Write a film of a drop, in 10 × slow motion, as GIF.")] = None
-    mp4: Annotated[Path | None, Flag("Write the same film as MP4, which needs ffmpeg.")] = None
+    figure: Annotated[Path | None, Flag("Write every figure as PDF to this folder.", panel=_OUTPUT)] = None
+    gif: Annotated[
+        Path | None, Flag("Write a film of a drop, in 10 × slow motion, as GIF.", panel=_OUTPUT)
+    ] = None
+    mp4: Annotated[Path | None, Flag("Write the same film as MP4, which needs ffmpeg.", panel=_OUTPUT)] = None
     drop: Annotated[str | None, Flag("Show this drop in the film.", default="the steepest")] = None
     force: Force = False
 
