@@ -126,7 +126,7 @@ def _document(
     if boot is not None:
         arrays["bootstrap/values"] = (space.decode(boot.points), "resample, free parameter", "SI")
     document = {
-        "adequacy": assessed.adequacy,
+        "adequacy": assessed.adequacy.model_dump(),
         "campaign": opened.stated,
         "parameters": rows,
         "correlation": linear.information.correlation,
