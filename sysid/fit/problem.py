@@ -580,7 +580,7 @@ def _no_candidates(fitted: Problem, row: FloatArray) -> tuple[Problem, Sequence[
 class Term:
     """Physics that a model may be given: `parameters` of its table that are not free by default.
 
-    `title` is what a sentence calls it, ``dry friction of the joint``.
+    `title` is what a table calls it, ``joint rubs dry``.
     """
 
     title: str

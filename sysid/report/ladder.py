@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from sysid.report.drawing import panel, save_figure
 from sysid.report.fold import print_lines, print_result, print_table
-from sysid.report.table import Cell, Table, listed, number, percent, rounded
+from sysid.report.table import Cell, Table, listed, number, rounded
 
 Row = Mapping[str, Any]
 
@@ -25,15 +25,13 @@ def _rows(document: Row) -> list[tuple[str, Row]]:
     return rows + [(f"… and {rung['terms'][-1]}", rung) for rung in document["together"][1:]]
 
 
-def _changes(base: Row, rung: Row) -> str:
-    """Return the term's own values and how far the other parameters go, the farthest first."""
-    values, before = rung["values"], base["values"]
-    new = [f"{name} {rounded(value, 3)}" for name, value in values.items() if name not in before]
+def _changes(document: Row, rung: Row) -> str:
+    """Return the values of the terms and how far the other parameters go, the two farthest."""
+    symbols, values, before = document["symbols"], rung["values"], document["base"]["values"]
+    new = [f"{symbols[name]} {rounded(value, 3)}" for name, value in values.items() if name not in before]
     moved = {name: values[name] / value - 1 for name, value in before.items() if value}
     far = sorted(moved, key=lambda name: -abs(moved[name]))[:2]
-    return "; ".join(
-        [*new, *(f"{name} {100 * moved[name]:+.1f} %" for name in far if abs(moved[name]) > 5e-3)]
-    )
+    return ", ".join([*new, *(f"{symbols[name]} {100 * moved[name]:+.0f} %" for name in far)])
 
 
 def rungs_table(document: Row) -> Table:
@@ -41,19 +39,18 @@ def rungs_table(document: Row) -> Table:
     base = document["base"]
     body = [
         (
-            words, percent(rung["nrmse"]), number(rung["over_noise"], 3),
-            number(float(np.mean(rung["left_out"])), 3),
+            words, number(rung["over_noise"], 3), number(float(np.mean(rung["left_out"])), 3),
             "" if rung is base else number(rung["chance"], 2),
-            "" if rung is base else Cell("keep", "good") if rung["kept"] else Cell("no"),
-            "" if rung is base else _changes(base, rung),
+            "" if rung is base else Cell("yes", "good") if rung["kept"] else Cell("no"),
+            "" if rung is base else _changes(document, rung),
         )
         for words, rung in _rows(document)
     ]  # fmt: skip
-    heads = ("term", "NRMSE [%]", "over noise", "left out", "chance", "worth it", "values and moves")
+    heads = ("term", "over noise", "left out", "chance", "keep", "values, moves")
     return listed(
         "What is missing in the model", body, heads,
-        "left out: each trial as the fit of the others predicts it, over noise; chance: that the gain "
-        "there is luck, for all terms looked at",
+        "NRMSE over noise: fitted, and left out, each trial as the fit of the others predicts it; chance: "
+        "that the gain there is luck, for all terms looked at; moves: of the parameters that move most",
     )  # fmt: skip
 
 

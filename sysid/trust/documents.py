@@ -249,9 +249,14 @@ class LadderRung(Part):
 
 
 class LadderDocument(TrustPart):
-    """``ladder.json``: the fit, each term of its kind added alone, then the best ones together."""
+    """``ladder.json``: the fit, each term of its kind added alone, then the best ones together.
+
+    ``symbols`` are of all parameters that a rung has, ``keep`` the titles and ``parameters`` the names of the
+    terms that are worth their place.
+    """
 
     trials: list[str]
+    symbols: dict[str, str]
     base: LadderRung
     alone: list[LadderRung]
     together: list[LadderRung]

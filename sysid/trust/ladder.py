@@ -28,8 +28,8 @@ from sysid.types import FloatArray
 CHANCE, LEAST_GAIN = 0.05, 0.01
 # Terms that are kept, at most.
 MOST = 4
-# Where a term's walks begin, from its value in the paper's model on [unit cube].
-_STARTS = (-0.15, 0.03, 0.15, 0.4)
+# Where a term's walks begin, from its value in the paper's model on [unit cube]; the first cannot end worse.
+_STARTS = (0.0, -0.15, 0.05, 0.3)
 _TOLERANCE, _ITERATIONS, _ITERATIONS_WITHOUT = 1e-4, 15, 6
 
 
@@ -147,8 +147,7 @@ class Climber:
         new = [i for i, name in enumerate(space.names) if name in term.parameters]
         starts = np.repeat(at[None], len(_STARTS), axis=0)
         starts[:, new] = np.clip(starts[:, new] + np.array(_STARTS)[:, None], 0.0, 1.0)
-        moved = np.any(np.abs(starts - at) > 1e-9, axis=1)
-        return self._fitted((*below.terms, term), problem, starts[moved])
+        return self._fitted((*below.terms, term), problem, np.unique(starts, axis=0))
 
     def _fitted(self, terms: tuple[Term, ...], problem: Problem, starts: FloatArray) -> TermFit:
         fronts = Fronts.at(starts)

@@ -57,6 +57,7 @@ def climb_ladder(
         document = {
             "campaign": opened.stated,
             "trials": list(problem.names),
+            "symbols": {name: row.symbol for name, row in problem.space.table.items()},
             "base": _rung(ladder.base),
             "alone": [_rung(rung) for rung in ladder.alone],
             "together": [_rung(rung) for rung in ladder.together],

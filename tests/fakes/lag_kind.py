@@ -12,7 +12,7 @@ import numpy as np
 from sysid.campaign import FitTable
 from sysid.campaign.common import CampaignTable, TomlTable, TrialTable
 from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
-from sysid.fit.problem import Kind, Problem, Scores, Trial
+from sysid.fit.problem import Kind, Problem, Scores, Term, Trial
 from sysid.parameters import Parameter, ParameterTable
 from sysid.workflows.kinds import register
 
@@ -90,15 +90,16 @@ SIGMA = 0.02
 SEARCH = "runs = 2\npopulation = 24\nmax_generations = 40\n"
 
 
-def write_lag(folder, search=SEARCH, names=("step-0", "step-1", "step-2", "step-3")):
+def write_lag(folder, search=SEARCH, names=("step-0", "step-1", "step-2", "step-3"), offset=0.0):
     """Write a campaign of steps, all but the last to fit, and return its file; the kind is registered."""
-    register(Kind("lag", LagCampaign, open_lag))
+    terms = (Term("speed at rest", ("offset",)),)
+    register(Kind("lag", LagCampaign, open_lag, terms=terms))
     source = np.random.default_rng(3)
     text = f'name = "bench"\nkind = "lag"\n[fit]\n{search}'
     for k, name in enumerate(names):
         step = 0.5 + 0.5 * k
         time = np.arange(200) * 0.005
-        speed = TRUE["gain"] * step * (1 - np.exp(-time / TRUE["time_constant"]))
+        speed = offset + TRUE["gain"] * step * (1 - np.exp(-time / TRUE["time_constant"]))
         speed += SIGMA * source.standard_normal(time.size)
         (folder / f"{k}.json").write_text(json.dumps([time.tolist(), speed.tolist()]), encoding="utf-8")
         use = "fit" if k < len(names) - 1 else "validate"
