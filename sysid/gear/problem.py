@@ -33,6 +33,7 @@ from sysid.gear.model import (
     simulate,
     simulate_population,
 )
+from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
 from sysid.gear.starts import (
     compared_noise,
     level_error,
@@ -459,6 +460,7 @@ class GearProblem(Problem):
 
     def quality(self) -> list[dict[str, Any]]:
         """Return how good every log is, and how its fall begins and ends."""
+        notice_odd_vehicle(self.campaign)
         return [self._quality(drop) for drop in self.drops]
 
     def _quality(self, drop: PreparedDrop) -> dict[str, Any]:
@@ -468,6 +470,12 @@ class GearProblem(Problem):
         log = resolve_log(self.path, trial.log)
         recording = read_drop_log(campaign, log, trial.rigid_body, trial.log_options.model_dump_json())
         report = inspect_recording(recording, campaign.vehicle.gravity)
+        if report.drop is not None:
+            options = trial.log_options.rigid_body or campaign.capture.rigid_body
+            notice_contradictions(
+                campaign, drop.name, drop.slope, trial.down_slope or campaign.capture.down_slope,
+                trial.rigid_body or options or report.drop.body, report.drop,
+            )  # fmt: skip
         window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
         tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
         stated = ("slope_deg", "release", "touchdown", "impact_speed", "notes")

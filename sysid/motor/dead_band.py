@@ -27,6 +27,7 @@ from sysid.motor.targets import filtered
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trials.bench_log import CommandSteps
 from sysid.trials.reversal import find_reversals
+from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray
 
 # The valley of equal Ω_min/I_sat is narrow: CMA-ES alone from a random start got stuck in it in two of five
@@ -35,9 +36,10 @@ _POPULATION = 40
 # Trials do not feel the dead band when it moves the cost of this many random candidates by less than this
 # share.
 _PROBES, _FELT = 32, 1e-6
-# Edges Ω_min that are tried around the fitted one, currents for each, and the share of the NRMSE below
+# Values that are tried over the bounds of a profile and near the fitted one, those of the other number for
+# each and on either grid, and the share of the NRMSE below
 # which two dead bands are equally good.
-_EDGES, _CURRENTS, _LIMIT = 25, 31, 0.01
+_EDGES, _NEAR, _CURRENTS, _LIMIT = 25, 17, 31, 0.01
 # A range of equally good edges is reported when its ends differ by this ratio.
 _WIDE = 1.5
 # Steps of the simulated thrust whose reversal is timed [s].
@@ -115,31 +117,69 @@ def fit_saturation(
     )  # fmt: skip
 
 
-def edges_that_serve(
-    problem: MotorProblem, row: FloatArray, fit: SaturationFit
-) -> tuple[float, float] | None:
-    """Return the range of Ω_min [rad/s] over which the trials fit equally well, each with its best I_sat.
+def band_profiles(problem: MotorProblem, row: FloatArray, fit: SaturationFit) -> dict[str, dict[str, Any]]:
+    """Return the NRMSE over I_sat and over Ω_min, each with the best value of the other, by name.
 
-    `row` (n_table,) is a set with its dead band [SI]. None where the stage did not free both numbers, or the
-    trials bound Ω_min within a factor of 1.5. The tried currents lie around the fitted ratio Ω_min/I_sat,
-    which a reversal determines best, and over all bounds of I_sat, for edges so low that no current matters.
+    `row` (n_table,) is a set with its dead band [SI]. A document has ``values`` [SI] and ``nrmse`` [1] along
+    the bounds, ``interval`` within which the NRMSE is at most 1 % above the best, ``open`` where a bound ends
+    it, and ``verdict`` on half its width (`sysid.trust.verdicts`). The other number is tried around the
+    fitted ratio Ω_min/I_sat, which a reversal determines best, and over all its bounds, for edges so low that
+    no current matters. One that the stage did not free keeps its value.
     """
-    free = {parameter.name: parameter for parameter in fit.free}
-    if not {*SATURATION} <= {*free}:
-        return None
-    current, edge = (free[name] for name in SATURATION)
+    free = {parameter.name: parameter for parameter in fit.free if parameter.name in SATURATION}
     table, bench = problem.space.table, problem.bench
-    column = table.index
-    ratio = row[column[current.name]] / row[column[edge.name]]
-    edges = np.append(np.geomspace(edge.lower, edge.upper, _EDGES), row[column[edge.name]])
-    around = np.append(np.geomspace(0.5, 2.0, _CURRENTS), 1.0) * ratio * edges[:, None]
-    over = np.broadcast_to(np.geomspace(current.lower, current.upper, _CURRENTS), (edges.size, _CURRENTS))
-    currents = np.clip(np.hstack([around, over]), current.lower, current.upper)
     space = SearchSpace(table, (), unpack(row, table))
     objective = MotorProblem.build(problem.campaign, space, bench, bench.banded, problem.threads)
-    tried = {edge.name: np.repeat(edges, currents.shape[1]), current.name: currents.ravel()}
-    cost = objective.nrmse_with(row, **tried).reshape(currents.shape).min(axis=1)
-    serve = edges[cost <= (1.0 + _LIMIT) * cost.min()]
+    out = {}
+    for name, walked in free.items():
+        best = float(row[table.index[name]])
+        near = np.clip(best * np.geomspace(0.7, 1 / 0.7, _NEAR), walked.lower, walked.upper)
+        values = np.unique(np.append(np.geomspace(walked.lower, walked.upper, _EDGES), near))
+        (other,) = {*SATURATION} - {name}
+        others = np.full((values.size, 1), row[table.index[other]])
+        if other in free:
+            low, high = free[other].lower, free[other].upper
+            around = np.append(np.geomspace(0.5, 2.0, _CURRENTS), 1.0) * others * values[:, None] / best
+            over = np.broadcast_to(np.geomspace(low, high, _CURRENTS), (values.size, _CURRENTS))
+            others = np.clip(np.hstack([around, over]), low, high)
+        tried = {name: np.repeat(values, others.shape[1]), other: others.ravel()}
+        cost = objective.nrmse_with(row, **tried).reshape(others.shape).min(axis=1)
+        out[name] = _band_document(values, cost, best)
+    return out
+
+
+def _band_document(values: FloatArray, cost: FloatArray, best: float) -> dict[str, Any]:
+    """Return a profile of ascending values (n,) [SI] as a result states it; see `band_profiles`."""
+    serve = np.flatnonzero(cost <= (1.0 + _LIMIT) * cost.min())
+    first, last = int(serve[0]), int(serve[-1])
+    open_ends = [first == 0, last == len(values) - 1]
+    limit = (1.0 + _LIMIT) * cost.min()
+
+    def crossing(inside: int, outside: int) -> float:
+        """Return where the limit lies between two values; a bound where nothing is outside."""
+        if not 0 <= outside < len(values):
+            return float(values[inside])
+        share = (limit - cost[inside]) / (cost[outside] - cost[inside])
+        return float(values[inside] * (values[outside] / values[inside]) ** share)
+
+    low, high = crossing(first, first - 1), crossing(last, last + 1)
+    half = np.inf if any(open_ends) else (high - low) / 2 / best
+    return {
+        "values": values.tolist(), "nrmse": cost.tolist(), "best_nrmse": float(cost.min()), "limit": _LIMIT,
+        "interval": [low, high], "open": open_ends, "verdict": verdict(half),
+    }  # fmt: skip
+
+
+def edges_that_serve(profiles: Mapping[str, Mapping[str, Any]]) -> tuple[float, float] | None:
+    """Return the range of Ω_min [rad/s] over which the trials fit equally well, each with its best I_sat.
+
+    None where the stage did not free both numbers, or the trials bound Ω_min within a factor of 1.5.
+    """
+    if not {*SATURATION} <= {*profiles}:
+        return None
+    profile = profiles[SATURATION[1]]
+    values, cost = np.array(profile["values"]), np.array(profile["nrmse"])
+    serve = values[cost <= (1.0 + _LIMIT) * cost.min()]
     lowest, highest = float(serve.min()), float(serve.max())
     return (lowest, highest) if highest > _WIDE * lowest else None
 

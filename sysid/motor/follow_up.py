@@ -15,6 +15,7 @@ from sysid.journal import Finding, folded, note, notice, spoken, tell
 from sysid.motor.bench_logs import campaign_range
 from sysid.motor.dead_band import (
     SaturationFit,
+    band_profiles,
     edges_that_serve,
     fit_saturation,
     reversal_delays,
@@ -29,7 +30,7 @@ from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
 from sysid.motor.profile import profile
 from sysid.motor.static_curves import CurveFit, no_load_line
 from sysid.motor.targets import PreparedTrial
-from sysid.parameter_sets import COMBINATIONS, NOT_ALONE, ParameterRecord, parameter_records
+from sysid.parameter_sets import COMBINATIONS, INTERVALS, NOT_ALONE, ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.types import FloatArray
 
@@ -141,6 +142,7 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
             "command_delays": log_delays(problem, rows[0]),
             "saturation": _about_saturation(problem, band, rows[0], given),
         }
+        settings[INTERVALS] = _band_intervals(settings["saturation"].get(_PROFILES, {}))
         cut = _judge(problem, course, sets, best, band is not None or given, settings)
     else:
         settings["saturation"] = {"fitted": False, "why": _WHY[cut]}
@@ -210,7 +212,8 @@ def _about_saturation(
             "the dead band rests on starts from rest alone: it does not describe a controller that reverses "
             "in another way; add a reversal trial of use = 'fit'",
         )
-    edges = edges_that_serve(problem, row, band)
+    profiles = band_profiles(problem, row, band)
+    edges = edges_that_serve(profiles)
     if edges is not None:
         notice(
             "dead-band-edge-open",
@@ -218,7 +221,18 @@ def _about_saturation(
             "rad/s, each with the saturation_current that fits best, the NRMSE is within 1 % of the "
             "lowest; its digits mean nothing",
         )
-    return band.document() | {"saturation_speed_range": edges}
+    return band.document() | {"saturation_speed_range": edges, _PROFILES: profiles}
+
+
+def _band_intervals(profiles: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return intervals and verdicts of the dead band as the trust of a fit states the others'."""
+    doubt = "the range over which the NRMSE of its trials is within 1 % of the lowest"
+    return {
+        name: {
+            "interval_95": row["interval"], "open_95": row["open"], "verdict": row["verdict"], "doubt": doubt
+        }
+        for name, row in profiles.items()
+    }  # fmt: skip
 
 
 def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:

@@ -270,8 +270,9 @@ class Expected(Part):
     """What the trials of a campaign are expected to determine of a parameter, before a fit.
 
     ``half_width`` is the relative 95 % half-width at ``value``, ``half_width_over_bounds`` the median over
-    points drawn from the bounds [1]. ``effect`` and ``interaction`` are mean size and standard deviation of
-    the elementary effects on the NRMSE over the bounds (Morris 1991) [1]. NaN where not computed.
+    points drawn from the bounds [1]; ``verdict`` is on the worse of both. ``effect`` and ``interaction`` are
+    mean size and standard deviation of the elementary effects on the NRMSE over the bounds (Morris 1991) [1].
+    NaN where not computed.
     """
 
     name: str
@@ -284,6 +285,11 @@ class Expected(Part):
     interaction: float
     partners: list[Partner]
     verdict: str
+
+    @property
+    def worse(self) -> float:
+        """The larger of both half-widths [1]."""
+        return max(self.half_width, self.half_width_over_bounds, key=lambda w: -1.0 if w != w else w)
 
 
 class ExpectedParameter(Expected):
@@ -394,7 +400,7 @@ def with_intervals(sets: Sets, folder: Path) -> Sets:
         return sets
     keys = ("interval_95", "open_95", "verdict", "doubt")
     rows = {row["name"]: {key: row[key] for key in keys} for row in document["parameters"]}
-    return replace(sets, settings={**sets.settings, INTERVALS: rows})
+    return replace(sets, settings={**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}})
 
 
 def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:

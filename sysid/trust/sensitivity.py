@@ -62,7 +62,7 @@ def expectations(
         Expected(
             name=row.name, symbol=row.symbol, unit=row.unit, value=value[i], half_width=view.half_widths[i],
             half_width_over_bounds=elsewhere[i], effect=effect[i], interaction=interaction[i],
-            partners=partners[i], verdict=verdict(view.half_widths[i]),
+            partners=partners[i], verdict=verdict(float(np.fmax(view.half_widths[i], elsewhere[i]))),
         )
         for i, row in enumerate(problem.space.free)
     )  # fmt: skip

@@ -38,5 +38,5 @@ def sentences(expected: Sequence[Expected]) -> tuple[str, ...]:
             partners = " and ".join(partner.name for partner in row.partners[:2])
             trades = f"; trades with {partners}" if partners else ""
             name = row.name.partition("[")[0].replace("_", " ")
-            out.append(f"{name} ({row.symbol}) is {word}: {as_half_width(row.half_width)}{trades}")
+            out.append(f"{name} ({row.symbol}) is {word}: {as_half_width(row.worse)}{trades}")
     return tuple(out)

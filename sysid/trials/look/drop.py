@@ -63,7 +63,7 @@ class DropReport:
     down_slope, down_slope_doubt
         Capture axis nearest to where the board's markers fall, else to that way, where it is over 20 mm long;
         why that axis may be wrong, empty where nothing speaks against it.
-    slope, slope_source
+    slope, slope_source, slope_by_markers
         Suggested slope [rad], from board markers or from the tilt between hold and rest, and what to check.
     release_error, touchdown_error, impact_speed_error
         How far off the two times may be [s]: a sample period; one and a half, and the 10 ms in which legs
@@ -84,6 +84,7 @@ class DropReport:
     down_slope_doubt: str
     slope: float | None
     slope_source: str
+    slope_by_markers: bool
     release_error: float
     touchdown_error: float
     impact_speed_error: float
@@ -174,13 +175,13 @@ def _report(
     way = position[-1] - position[end]
     way = way - axis * (way @ axis)
     release = flight.start if flight.held else None
-    slope, source, downhill = _slope(recording, body, channel, axis, release, touchdown)
+    slope, source, marked, downhill = _slope(recording, body, channel, axis, release, touchdown)
     down_slope, doubt = _down_slope(way, downhill, flight.held)
     sample = float(time[1] - time[0])
     late = 1.5 * sample + _YIELDING  # the largest error of 16 known drops at 200 Hz was 15.5 ms of these 17.5
     return DropReport(
         body, up, float(np.arccos(np.clip(up_vector @ axis, -1.0, 1.0))), measured, unit, release, touchdown,
-        speed, fall, (float(way[0]), float(way[1]), float(way[2])), down_slope, doubt, slope, source,
+        speed, fall, (float(way[0]), float(way[1]), float(way[2])), down_slope, doubt, slope, source, marked,
         sample if flight.held else float("nan"), late, measured * late,
     )  # fmt: skip
 
@@ -212,8 +213,8 @@ def _mean_turn(orientation: Channel, part: BoolArray) -> Rotation:
 
 def _slope(
     recording: Recording, body: str, channel: Channel, up: FloatArray, release: float | None, touchdown: float
-) -> tuple[float | None, str, FloatArray | None]:
-    """Return a suggested slope [rad], where it comes from, and the way down where markers tell it."""
+) -> tuple[float | None, str, bool, FloatArray | None]:
+    """Return a suggested slope [rad], its source, whether that is markers, and the way down they tell."""
     still = []
     for marker in recording.markers:
         points = recording[f"{marker}/position"]
@@ -236,8 +237,8 @@ def _slope(
             source = (
                 f"plane of {len(still)} markers that stand still, {sure}: check that they lie on the board"
             )
-            return angle, source, normal - up * (normal @ up) if angle > _SHALLOW else None
-    unknown = (None, "", None)
+            return angle, source, True, normal - up * (normal @ up) if angle > _SHALLOW else None
+    unknown = (None, "", False, None)
     orientation = recording.channels.get(f"{body}/orientation")
     if orientation is None or release is None:
         return unknown
@@ -251,4 +252,4 @@ def _slope(
         return unknown  # it still moves
     turned = (_mean_turn(orientation, rest) * hanging.inv()).apply(up)
     angle = float(np.arccos(np.clip(turned @ up, -1.0, 1.0)))
-    return angle, "tilt between hold and rest: right only where it hung level and all feet stand", None
+    return angle, "tilt between hold and rest: right only where it hung level and all feet stand", False, None

@@ -1,0 +1,74 @@
+"""What a campaign states, beside what its logs show and what a vehicle can be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sysid.campaign import GearCampaign
+from sysid.journal import notice
+from sysid.trials.look import DropReport
+
+# Three markers on a board tell its slope to a fraction of a degree; a body at rest leans on bent legs [rad].
+_BY_MARKERS, _BY_REST = np.radians(2.0), np.radians(10.0)
+# Of sqrt(I/m) over the distance of a foot; the F450 of the paper has 0.57, a rod of that length 0.58. Masses
+# off by a factor of ten are outside, and so are inertias.
+_GYRATION = (0.3, 1.2)
+# Mass over the cube of that distance [kg/m³]: the F450 has 200, and ten times that is a solid stone.
+_DENSITY = (30.0, 1200.0)
+
+
+def notice_contradictions(
+    campaign: GearCampaign, trial: str, slope: float, down_slope: str, body: str, seen: DropReport
+) -> None:
+    """Notice where a log shows another slope [rad], axis or falling body than the campaign states."""
+    for what, stated, shown in _contradictions(campaign, slope, down_slope, body, seen):
+        notice(
+            f"contradicts-{what}",
+            f"the campaign states {what.replace('-', '_')} = {stated}, the log shows {shown}: one of both is "
+            "wrong; sysid inspect prints what the log shows",
+            trial=trial,
+        )
+
+
+def _contradictions(
+    campaign: GearCampaign, slope: float, down_slope: str, body: str, seen: DropReport
+) -> Iterator[tuple[str, str, str]]:
+    if seen.up != campaign.capture.up:
+        yield "up", f'"{campaign.capture.up}"', f'"{seen.up}"'
+    steep = min(slope, seen.slope or 0.0) > _BY_MARKERS
+    if seen.down_slope and not seen.down_slope_doubt and steep and seen.down_slope != down_slope:
+        yield "down-slope", f'"{down_slope}"', f'"{seen.down_slope}"'
+    if seen.body != body:
+        yield "rigid-body", f'"{body}"', f'that "{seen.body}" falls'
+    if seen.slope is not None:
+        allowed = _BY_MARKERS if seen.slope_by_markers else _BY_REST
+        if abs(seen.slope - slope) > allowed:
+            how = "from markers" if seen.slope_by_markers else "from the tilt at rest"
+            yield "slope", f"{np.degrees(slope):.1f} deg", f"{np.degrees(seen.slope):.1f} deg {how}"
+
+
+def notice_odd_vehicle(campaign: GearCampaign) -> None:
+    """Notice a mass or an inertia that no vehicle of that size has."""
+    vehicle = campaign.vehicle
+    mass, inertia = vehicle.body_mass, vehicle.body_inertia
+    if mass is None or inertia is None:
+        return
+    size = float(np.hypot(vehicle.foot_dx, vehicle.foot_dz))
+    gyration, density = float(np.sqrt(inertia / mass)), mass / size**3
+    if not _GYRATION[0] <= gyration / size <= _GYRATION[1]:
+        notice(
+            "odd-inertia",
+            f"sqrt(body_inertia/body_mass) = {1e3 * gyration:.0f} mm is {gyration / size:.2g} of the feet's "
+            f"distance from the centre of mass ({1e3 * size:.0f} mm); vehicles have {_GYRATION[0]:g} to "
+            f"{_GYRATION[1]:g}: check body_mass ({mass:.4g} kg), body_inertia ({inertia:.4g} kg·m²) and "
+            "their units",
+        )
+    if not _DENSITY[0] <= density <= _DENSITY[1]:
+        notice(
+            "odd-mass",
+            f"body_mass = {mass:.4g} kg with feet {1e3 * size:.0f} mm from the centre of mass is "
+            f"{density:.3g} kg/m³; vehicles have {_DENSITY[0]:g} to {_DENSITY[1]:g}: check the mass, the "
+            "lengths and their units",
+        )
