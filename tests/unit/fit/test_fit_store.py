@@ -20,6 +20,7 @@ from sysid import exact_json, storage
 from sysid.errors import FitError
 from sysid.fit import store
 from sysid.fit.store import check_new_fit, read_fit, summary, write_fit
+from sysid.fit.summary import record_lines
 
 
 def assert_same(a, b):
@@ -276,3 +277,11 @@ def test_a_fit_that_reaches_outside_or_promises_too_much_is_refused(tmp_path, ch
         return
     with pytest.raises(FitError, match=f"damaged or cut off .*{words}.*; run the fit again"):
         read_fit(path)
+
+
+def test_a_record_in_words_keeps_every_digit_of_a_clock():
+    record = {"release": 1_699_999_999.125, "cutoff": 12.345678, "campaign": {"text": "a = 1\nb = 2\n"}}
+    lines = record_lines(record)
+    assert lines[0] == "release [s]: 1699999999.125"
+    assert lines[1] == "cutoff [Hz]: 12.3457"
+    assert lines[2:] == ["campaign", "  text", "    a = 1", "    b = 2"]

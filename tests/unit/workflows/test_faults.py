@@ -18,6 +18,7 @@ from sysid.workflows.fit import fit_campaign
 from sysid.workflows.landing_sources import compute_and_write
 from sysid.workflows.options import ComputeOptions, FitOptions
 
+QUICK = {"quiet": True, "check": False, "trust": False}
 # A dozen operations per state; the fault of every operation is another test in the slow suite.
 SEARCH = "runs = 2\npopulation = 8\nmax_generations = 2\nfinish = 'none'\n"
 
