@@ -298,7 +298,7 @@ def json_keys():
             "fit-motor": (CAMPAIGNS["motor"], *small, "--out", folder / "mo"),
             "fits": (folder / "fits",),
             "show": (lf,),
-            "export": (lf, "--to", folder / "sets.csv"),
+            "export": (lf, "--out", folder / "sets.csv"),
             "compare": (lf, other),
             "trust": (bench,),
             "static-limits": _LANDED[:1],
