@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fakes.gear_campaigns import EXACT, opened, score_values, used
-from fakes.sets import assert_sets_agree
 from sysid.errors import LogError
 from sysid.gear.model import LF_FREE
 from sysid.gear.problem import GearProblem, gear_space
@@ -157,38 +156,16 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
 
 
 @pytest.mark.slow
-def test_full_noise_plain_and_finished(tmp_path):
-    """0.3 mm and 0.2 deg: the paper's GA of 400 ends above the truth on many seeds, finished runs agree."""
+def test_the_paper_s_search_on_full_noise(tmp_path):
+    """0.3 mm and 0.2 deg: the paper's GA of 400 ends above the truth on many seeds."""
     folder = synthesize_gear(tmp_path / "drops", seed=1)
     campaign, drops, truth = opened(folder)
     floor = float(score_values(campaign, used(drops), truth).cost[0])
-    path = folder / "campaign.toml"
     paper = FitOptions(
         out=tmp_path / "plain", algorithm="ga", population=400, finish="none", quiet=True, trust=False
     )
-    plain, _ = fit_gear(path, paper)
+    plain, _ = fit_gear(folder / "campaign.toml", paper)
     print(f"truth {floor:.4%}, plain GA {plain.nrmse}, excess {_excess(plain.nrmse, floor)}")
     # Eight free parameters soak up some of 900 noisy samples per channel: about 2 % of the truth's NRMSE.
     assert plain.nrmse[0] > 0.97 * floor
     assert _excess(plain.nrmse, floor)[0] < 0.08
-    finished, _ = fit_gear(path, FitOptions(out=tmp_path / "finished", quiet=True, trust=False))
-    print(f"finished {finished.nrmse}")
-    assert len(finished.nrmse) == 5
-    assert np.all(finished.nrmse > 0.97 * floor)
-    assert np.all(finished.nrmse <= 1.002 * floor)
-    held = assert_sets_agree(finished)
-    # Dampings of the leg lie at the warning's own limit of 1 %.
-    assert {"joint_dx", "leg_axial_stiffness", "leg_bending_stiffness"} <= held
-    sets = finished.parameter_sets().values
-    names = finished.parameter_sets().names
-    for name, error in {
-        # Three times the rms over noise draws of a feasibility study; k_s and dz_j are the weak ones.
-        "joint_dx": 0.01,
-        "leg_axial_stiffness": 0.02,
-        "leg_axial_damping": 0.04,
-        "leg_bending_stiffness": 0.02,
-        "leg_bending_damping": 0.04,
-        "joint_dz": 0.10,
-        "ground_stiffness": 0.30,
-    }.items():
-        assert sets[:, names.index(name)] == pytest.approx(np.full(5, truth[name]), rel=error)

@@ -10,6 +10,7 @@ import pytest
 
 from fakes.gear_campaigns import opened, score_values, used
 from fakes.gear_drops import touchdowns
+from fakes.sets import assert_sets_agree
 from sysid.fit.search import SearchSettings, run_one
 from sysid.gear.model import simulate
 from sysid.gear.problem import GearProblem, gear_space, measured_values
@@ -29,6 +30,24 @@ BOUNDS = {
     "hf": _LEGS | {"kinetic_friction": 0.01, "leg_mass": 0.05, "leg_inertia": 0.05, "joint_dz": 0.05},
 }  # fmt: skip
 SEEDS = (1, 2, 3, 4, 5)
+# Parameters in which sets of one optimum agree within 1 %. Dampings of the leg lie at that limit.
+HELD = {
+    "lf": {"joint_dx", "leg_axial_stiffness", "leg_bending_stiffness"},
+    "hf": {"joint_dx", "leg_axial_stiffness", "leg_bending_stiffness", "kinetic_friction"},
+}
+# Low friction: three times the rms over noise draws of a feasibility study; k_s and dz_j are the weak ones.
+# High friction: linearized spreads of 0.2 to 2 %, two to three of them.
+NEAR = {
+    "lf": {
+        "joint_dx": 0.01, "leg_axial_stiffness": 0.02, "leg_axial_damping": 0.04,
+        "leg_bending_stiffness": 0.02, "leg_bending_damping": 0.04, "joint_dz": 0.10,
+        "ground_stiffness": 0.30,
+    },
+    "hf": {
+        "kinetic_friction": 0.03, "leg_axial_stiffness": 0.03, "leg_bending_stiffness": 0.03,
+        "leg_axial_damping": 0.03,
+    },
+}  # fmt: skip
 
 
 def third_contact(drop, truth, surface):
@@ -51,12 +70,10 @@ def up_to_third_contact(drops, truth, surface):
 
 @pytest.fixture(scope="module", params=["lf", "hf"])
 def fitted(request, tmp_path_factory):
-    """The paper's population of 400, five runs and a finisher: surface, opened campaign, result."""
+    """Five runs as by default: surface, opened campaign, result."""
     surface = request.param
     folder = synthesize_gear(tmp_path_factory.mktemp("fit") / surface, seed=1, surface=surface)
-    options = FitOptions(
-        out=folder / "result", algorithm="ga", population=400, runs=5, finish="cmaes", quiet=True, trust=False
-    )
+    options = FitOptions(out=folder / "result", quiet=True, trust=False)
     result, _ = fit_gear(folder / "campaign.toml", options)
     return surface, opened(folder), result
 
@@ -74,6 +91,17 @@ def test_every_run_ends_where_the_truth_scores(fitted):
         assert (ratio <= 1.002).all()
     else:
         assert (ratio <= 1.005).sum() >= 4
+
+
+@pytest.mark.slow
+def test_sets_agree_and_lie_near_the_truth(fitted):
+    surface, (_, _, truth), result = fitted
+    assert assert_sets_agree(result) >= HELD[surface]
+    found = result.parameter_sets()
+    # On high friction one run of five may end elsewhere.
+    sets = found.values if surface == "lf" else found.values[:1]
+    for name, error in NEAR[surface].items():
+        assert sets[:, found.names.index(name)] == pytest.approx(np.full(len(sets), truth[name]), rel=error)
 
 
 @pytest.mark.slow
@@ -104,9 +132,9 @@ def exact_start(drops, facts, gravity):
     return tuple(out)
 
 
-def errors(objective, truth, seed):
-    """Relative errors of one run: a swarm of 100, which is cheaper than the GA, and CMA-ES."""
-    run = run_one(objective, SearchSettings(100, 1, seed, algorithm="pso", finish="cmaes"))
+def errors(objective, truth, seed, **search):
+    """Relative errors of one run."""
+    run = run_one(objective, SearchSettings(runs=1, seed=seed, **search))
     values = objective.space.full(run.best_point[None])[0]
     row = dict(zip(objective.space.table, values, strict=True))
     return {name: row[name] / truth[name] - 1 for name in objective.space.names}
@@ -146,10 +174,10 @@ def test_two_accuracies_find_the_same_high_friction_parameters(tmp_path):
     wide = gear_space(campaign)
     near = {r.name: (max(r.lower, 0.7 * truth[r.name]), min(r.upper, 1.4 * truth[r.name])) for r in wide.free}
     space = SearchSpace.build(wide.table, wide.names, measured_values(campaign), near)
-    errs = [
-        errors(GearProblem(campaign, space, used(drops, "fit"), tolerance=tolerance), truth, seed=1)
-        for tolerance in (1e-3, 1e-4)
-    ]
+    # Ends with more digits of weak parameters (leg_mass) than the default, which stops where NRMSE does.
+    search = {"algorithm": "pso", "population": 100, "finish": "cmaes"}
+    problems = (GearProblem(campaign, space, used(drops, "fit"), tolerance=one) for one in (1e-3, 1e-4))
+    errs = [errors(problem, truth, seed=1, **search) for problem in problems]
     moved = {name: (1 + errs[0][name]) / (1 + errs[1][name]) - 1 for name in space.names}
     print("\n10 times the accuracy moves [%]", {name: round(100 * m, 3) for name, m in moved.items()})
     # Not fixed by such data at either accuracy.
@@ -167,9 +195,7 @@ def test_two_accuracies_find_the_same_parameters(tmp_path):
     sets = []
     for tolerance in (3e-4, 3e-5):
         path.write_text(text.replace("[fit]\n", f"[fit]\ntolerance = {tolerance}\n"), encoding="utf-8")
-        options = FitOptions(
-            out=tmp_path / f"{tolerance}", algorithm="pso", population=100, runs=1, quiet=True, trust=False
-        )
+        options = FitOptions(out=tmp_path / f"{tolerance}", runs=1, quiet=True, trust=False)
         result, _ = fit_gear(path, options)
         assert result.settings["tolerance"] == tolerance
         sets.append(result.parameter_sets().set_values(1))

@@ -163,7 +163,7 @@ def test_full_fit_of_five_runs(
 ) -> None:
     path = synthesize_motor(tmp_path / "bench", seed=noise) / "campaign.toml"
     options = FitOptions(
-        tmp_path / "fit", runs=5, population=population, algorithm=algorithm, finish="cmaes", seed=seed,
+        tmp_path / "fit", runs=5, population=population, algorithm=algorithm, seed=seed,
         quiet=True, trust=False
     )  # fmt: skip
     result, _ = fit_motor(path, options)

@@ -218,7 +218,6 @@ def test_contacts_of_a_replay_are_the_events_of_the_simulation(drop):
     assert len(drop.first_contacts()) == 4
 
 
-@pytest.mark.slow  # two drivers to compile where nothing is cached
 def test_a_replay_s_modes_are_those_of_the_located_switches(drop_fit):
     fit = replace(drop_fit, settings={"surface": "hf"}, values=pack({}, "hf")[None])
     drop = replay_drop(fit, fit.trials[0])
@@ -232,20 +231,6 @@ def test_a_replay_s_modes_are_those_of_the_located_switches(drop_fit):
     assert np.sum(sticks & down) > 100
     # The page's simulation is coarser: a switch may fall one sample aside.
     assert np.sum(drop.sticks != (sticks & down)) <= 3
-
-
-@pytest.mark.slow  # four drivers to compile where nothing is cached
-def test_simulating_without_events_gives_the_same_numbers():
-    time = np.linspace(0.0, 0.5, 101)
-    for surface in ("lf", "hf"):
-        plain, logged = (
-            simulate({}, SLOPE, BODY, time, surface=surface, tolerance=3e-4, events=events)
-            for events in (False, True)
-        )
-        np.testing.assert_array_equal(plain.state, logged.state)
-        np.testing.assert_array_equal(plain.friction_force, logged.friction_force)
-        assert plain.events == ()
-        assert logged.events
 
 
 def test_legs_at_rest_end_in_the_feet():
