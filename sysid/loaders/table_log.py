@@ -148,7 +148,13 @@ def _power_findings(channels: Mapping[str, Channel]) -> list[Finding]:
         seen = np.abs(values[fast & np.isfinite(values)]) if values.size else none
         return float(np.median(seen)) if seen.size else 0.0
 
-    shaft = middle(torque * speed) if torque.size else 0.0
+    def grows(values: FloatArray) -> bool:
+        whole = np.isfinite(speed * values) if values.size else np.zeros(speed.size, dtype=np.bool_)
+        y, x = values[whole] if whole.any() else none, speed[whole] ** 2
+        enough = y.size >= _FEWEST and np.ptp(x) > 0 and np.ptp(y) > 0
+        return bool(enough and abs(np.corrcoef(y, x)[0, 1]) > _GROWS)
+
+    shaft = middle(torque * speed) if grows(torque) else 0.0
     supply = middle(voltage * current) if voltage.size and current.size else 0.0
     sentences = []
     if supply > 0 and shaft > _MOST_EFFICIENT * supply:
@@ -156,16 +162,13 @@ def _power_findings(channels: Mapping[str, Channel]) -> list[Finding]:
             f"torque × speed is {shaft:.3g} W at the highest speeds where voltage × current is {supply:.3g} "
             "W, which no motor gives: check the units of torque, speed and current"
         )
-    whole = np.isfinite(speed * thrust) if thrust.size else np.zeros(speed.size, dtype=np.bool_)
-    pull, square = middle(thrust), speed[whole] ** 2
-    grows = whole.sum() >= _FEWEST and np.ptp(square) > 0 and np.ptp(thrust[whole]) > 0
-    if grows and abs(np.corrcoef(thrust[whole], square)[0, 1]) > _GROWS:
-        for name, power in (("torque × speed", shaft), ("voltage × current", supply)):
-            if power > 0 and not _PER_WATT[0] <= pull / power <= _PER_WATT[1]:
-                sentences.append(
-                    f"thrust over {name} is {pull / power:.3g} N/W at the highest speeds; propellers give "
-                    f"{_PER_WATT[0]:g} to {_PER_WATT[1]:g} N/W: check the units of both"
-                )
+    pull = middle(thrust) if grows(thrust) else 0.0
+    for name, power in (("torque × speed", shaft), ("voltage × current", supply)):
+        if pull > 0 and power > 0 and not _PER_WATT[0] <= pull / power <= _PER_WATT[1]:
+            sentences.append(
+                f"thrust over {name} is {pull / power:.3g} N/W at the highest speeds; propellers give "
+                f"{_PER_WATT[0]:g} to {_PER_WATT[1]:g} N/W: check the units of both"
+            )
     return [Finding("implausible-power", sentence) for sentence in sentences]
 
 
