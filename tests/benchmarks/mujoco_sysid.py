@@ -143,8 +143,8 @@ def main():
     begins = np.random.default_rng(1).random((chosen.starts, len(problem.space.free)))
     problem.evaluate(begins)  # compiles
     rows = []
-    for way in chosen.ways:
-        for number, begin in enumerate(begins, start=1):
+    for number, begin in enumerate(begins, start=1):
+        for way in chosen.ways:
             peer.spent, clock = 0, time.process_time()
             if way == "ours":
                 run = run_one(problem, SearchSettings(runs=1, seed=number))
