@@ -13,7 +13,6 @@ import numpy as np
 
 from sysid.fit.progress import FitProgress
 from sysid.gear.model import prepare
-from sysid.motor.problem import MotorProblem  # noqa: F401  # what every fit imports is there before the first figure
 from sysid.synthetic import DropPlan, synthesize_gear
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.kinds import open_campaign
