@@ -90,7 +90,7 @@ def test_what_report_refuses(tmp_path, refused):
     refused("named for two files", "report", fit, "--out", both, "--gif", both)
     refused(("is a folder", "report.html"), "report", fit, "--out", tmp_path, "--force")
     motor = ROOT / "data_samples" / "motor" / "campaign.toml"
-    words = ("is a motor campaign, expected gear", "name a gear campaign")
+    words = ("is a motor campaign, but the fit is a gear fit", "name a gear campaign")
     refused(words, "report", fit, "--against", motor, "--quiet")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fit", "there.html"]
 
