@@ -192,9 +192,7 @@ def fill(
     body = [
         (i, cells_of(lines[i], delimiter))
         for i in range(first, last)
-        if lines[i].strip(" \r\v\f" if delimiter == "\t" else None)
-        and not lines[i].lstrip().startswith("#")
-        and lines[i] != lines[first - 1]  # a header that stands again
+        if lines[i].strip(" \r\v\f" if delimiter == "\t" else None) and not lines[i].lstrip().startswith("#")
     ]
     if decimal is None:
         cells = [row[c] for _, row in body[:200] for c in (*wanted, *skip) if c < len(row)]

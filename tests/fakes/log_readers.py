@@ -39,10 +39,12 @@ def only(cells, names):
     return matches[0] if matches else None
 
 
-def by_name(data, quantities, command, clock, *, message=None, stale, plain_seconds=False):
+def by_name(data, quantities, command, clock, *, message=None, stale, plain_seconds=False, points=False):
     """Return the table of a log whose first line names columns: channel -> (names, quantity)."""
     lines, closed = lines_of(data)
     first, delimiter, cells = header_of(lines)
+    if message:  # a header that stands again is no row
+        lines = [*lines[: first + 1], *("#" if line == lines[first] else line for line in lines[first + 1 :])]
     columns = {}
     for channel, (names, quantity) in quantities.items():
         column = only(cells, names)
@@ -54,20 +56,22 @@ def by_name(data, quantities, command, clock, *, message=None, stale, plain_seco
     if column is not None:
         unit = label_of(cells[column])[1]
         columns["command", 0] = (column, 1.0 if (unit or "").casefold() in COMMANDS else None)
-    time = need(only(cells, clock), "the clock")
-    unit = label_of(cells[time])[1]
+    time = only(cells, clock) if points else need(only(cells, clock), "the clock")
+    unit = None if time is None else label_of(cells[time])[1]
     seconds = need(1.0 if unit is None and plain_seconds else factor_of(unit or "", "time"), "a unit of time")
     # A column of unknown unit must not be read.
     columns = {key: (column, math.inf if f is None else f) for key, (column, f) in columns.items()}
     table = Table(stale=stale)
-    wanted = [time, *(column for column, _ in columns.values())]
+    timed = () if time is None else (time,)
+    wanted = [*timed, *(column for column, _ in columns.values())]
     # Words may hold delimiters, and rows may end behind them.
     words = only(cells, message or ())
     words = None if words is None or words < max(wanted) else words
     raw = len(cells_of(lines[first], delimiter))
     least = len(cells) if words is None else words + 1 + (raw > len(cells))
-    fill(table, lines, closed, first + 1, len(lines), delimiter, columns, lambda at: (at(time) * seconds,),
-         least=least, most=raw, words=words, width=len(cells) if message else None, skip=(time,))  # fmt: skip
+    fill(table, lines, closed, first + 1, len(lines), delimiter, columns,
+         lambda at: tuple(at(column) * seconds for column in timed) or (0.0,), least=least, most=raw,
+         words=words, width=len(cells) if message else None, skip=timed)  # fmt: skip
     return table
 
 
@@ -80,8 +84,8 @@ STAND = {
 
 def rcbenchmark_csv(data, recording):
     table = by_name(data, STAND, {"esc signal", "esc"}, {"time"}, message={"app message"}, stale=2,
-                    plain_seconds=True)  # fmt: skip
-    if recording.kind == "static-map":
+                    plain_seconds=True, points=recording.kind == "static-map")  # fmt: skip
+    if "log_time" in recording.channels:
         table.widths["log_time"] = 1
         for row in table.rows:
             row.numbers["log_time", 0] = row.times[0]
