@@ -42,6 +42,13 @@ class ChannelAdequacy(Part):
     autocorrelation: float
 
 
+class PhaseAdequacy(Part):
+    """Residual over noise in a phase of the trials, all channels together [1]."""
+
+    name: str
+    ratio: float
+
+
 class Misfit(Part):
     """Where the misfit sits: channel, phase and trial, each with its residual over noise there [1]."""
 
@@ -59,8 +66,7 @@ class Adequacy(Part):
     ``verdict`` is "explained" up to ``limits`` 1.2, "roughly" up to 1.5, else "not_explained", by the larger
     of ``ratio`` and the largest ratio of a channel. ``nrmse`` is of the best set and ``floor`` what noise
     alone costs [1]; ``ratio`` is the mean NRMSE over that floor, without what the uncertainty of assumed
-    values explains. ``phases`` are residuals over noise of all channels together [1]. ``symptoms`` are
-    parameters whose bound cuts although the model is wrong.
+    values explains. ``symptoms`` are parameters whose bound cuts although the model is wrong.
     """
 
     verdict: str
@@ -70,7 +76,7 @@ class Adequacy(Part):
     ratio: float
     limits: dict[str, float]
     channels: list[ChannelAdequacy]
-    phases: dict[str, float]
+    phases: list[PhaseAdequacy]
     misfit: Misfit
     symptoms: list[str]
 
@@ -145,7 +151,7 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
             )
             for c in used
         ],
-        phases=dict(zip(kinds, by_phase.tolist(), strict=True)),
+        phases=[PhaseAdequacy(name=name, ratio=each) for name, each in zip(kinds, by_phase, strict=True)],
         misfit=misfit, symptoms=symptoms,
     )  # fmt: skip
     names = [in_words(row, of_trial=False) for row in problem.space.free if row.name in symptoms]

@@ -16,12 +16,15 @@ change of the parameter stays unseen by any of these; the verdict names it as no
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
 from sysid.fit.problem import Problem
+from sysid.parameters import SearchSpace
 from sysid.trust.linearized import NORMAL_95, Linearized, gradient_noise, half_widths
+from sysid.trust.profiles import Profiles
 from sysid.types import FloatArray
 
 # Degrees of freedom, at least: steps inside one log repeat as trials do.
@@ -42,6 +45,26 @@ def widened(problem: Problem, linear: Linearized, without: FloatArray) -> Linear
     )
     widths = half_widths(problem.space, linear.point, information.sigma)
     return replace(linear, information=information, half_widths=widths)
+
+
+def at_least(profiles: Profiles, space: SearchSpace, linear: Linearized) -> Profiles:
+    """Return profiles whose intervals contain the `widened` linearized ones.
+
+    The cost of a wrong model is rough and rises in steps, so that a profile may end before the misfit does.
+    """
+    out, sigma = [], linear.information.sigma
+    for i, profile in enumerate(profiles.profiles):
+        ends: dict[str, Any] = {}
+        for level, reach in ((68, 1.0), (95, NORMAL_95)):
+            way = np.array([-reach, reach]) * sigma[i]
+            cube = np.repeat(linear.point[None], 2, axis=0)
+            cube[:, i] = np.clip(cube[:, i] + way, 0.0, 1.0)
+            low, high = space.decode(cube)[:, i].tolist()
+            was, opened = getattr(profile, f"interval_{level}"), getattr(profile, f"open_{level}")
+            ends[f"interval_{level}"] = min(was[0], low), max(was[1], high)
+            ends[f"open_{level}"] = opened[0] or bool(cube[0, i] <= 0), opened[1] or bool(cube[1, i] >= 1)
+        out.append(replace(profile, **ends))
+    return replace(profiles, profiles=tuple(out))
 
 
 def misfit_factor(problem: Problem, linear: Linearized, without: FloatArray) -> FloatArray:

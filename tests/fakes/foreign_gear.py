@@ -36,6 +36,13 @@ _ROWS = (
 )  # fmt: skip
 
 
+def drawn_terms(seed, count):
+    """Draw terms that the model lacks, with half to all of the size in `TERMS`."""
+    source = np.random.default_rng(seed)
+    drawn = map(str, source.choice(sorted(TERMS), count, replace=False))
+    return {name: NONE[name] + (TERMS[name] - NONE[name]) * source.uniform(0.5, 1.0) for name in drawn}
+
+
 def simulator(**terms):
     """Return what takes the place of `sysid.gear.model.simulate` on LF, with these foreign terms."""
     foreign = np.array(list(NONE.values()))

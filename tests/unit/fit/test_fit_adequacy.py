@@ -59,7 +59,7 @@ def test_a_misfit_that_the_mean_hides_is_named_with_its_place(tmp_path):
     assert worst.ratio > 2
     assert worst.autocorrelation > 0.3
     # Nothing is wrong with a fall.
-    assert found.phases["before the first contact"] < 1.2
+    assert {phase.name: phase.ratio for phase in found.phases}["before the first contact"] < 1.2
     assert found.misfit.phase != "before the first contact"
     for words in (f"in {worst.name}", found.misfit.phase, found.misfit.trial, "no parameter is well known"):
         assert words in finding.sentence
