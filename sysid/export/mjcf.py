@@ -18,9 +18,9 @@ so ``s = k_s A``, ``c = b_s A`` and a small constant ``d`` make it the spring an
 except that the damper acts while the foot comes out as well. Friction has a reference
 (``solreffriction``, rate ``B``) and regularization ``R = A (1 - d)/(d impratio)``: below the cone
 ``mu_k F_n`` a slipping foot feels ``B v/R``. Low friction (8) wants ``mu_k N_0/eps_v`` near zero slip, with
-the standing drone's load ``N_0``; MuJoCo's slope cannot follow the load of a bounce. That is all that separates
-a drop from the kernel's: with (8) as an applied force 0.1 to 0.2 % NRMSE is left (tests/benchmarks). On high
-friction a foot sticks, but for some 0.05 mm/s of creep.
+the standing drone's load ``N_0``; MuJoCo's slope cannot follow the load of a bounce. That is all that
+separates a drop from the kernel's: with (8) as an applied force 0.1 to 0.2 % NRMSE is left
+(tests/benchmarks/mujoco_contact.py). On high friction a foot sticks, but for some 0.05 mm/s of creep.
 MuJoCo knows one coefficient: it gets the kinetic one.
 """
 
