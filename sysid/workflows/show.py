@@ -9,7 +9,7 @@ from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
-from sysid.parameter_sets import ParameterSets
+from sysid.parameter_sets import INTERVALS, ParameterSets
 from sysid.report.fold import print_lines, print_table
 from sysid.report.set_tables import (
     adequacy_table,
@@ -75,6 +75,8 @@ def _verdict(result: FitResult) -> str:
     """Return whether noise explains the fit, and what the data leave open, in one sentence."""
     found, judged = result.provenance.get("findings", ()), result.provenance["adequacy"]
     lost = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}
+    intervals = result.settings.get(INTERVALS, {})
+    lost |= {name for name, row in intervals.items() if row["verdict"].startswith("not_")}
     known = f"not determined: {', '.join(sorted(lost))}" if lost else "every free parameter is determined"
     if judged["verdict"] == NOT_BY and not lost:
         known = "no parameter is well known"
