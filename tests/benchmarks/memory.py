@@ -3,6 +3,12 @@
 Run ``python tests/benchmarks/memory.py [--drops N] [--runs N] [--population N] [--finish NAME]``. It writes a
 campaign of drawn drops on low friction, opens it, and fits it. The first figures are of the drops, as they
 are opened; the others of the process after every run, whose median difference is what a run adds. Linux only.
+
+Measured with compiled kernels in the cache (2 cores, Python 3.11, November 2026): 60 drops add 1 MB when they
+are opened, population 400 of them takes 424 to 437 MB; ``--drops 6 --runs 6`` takes 419 MB from the third run
+on, of which a run's populations are 0.2 MB, and 513 MB at most in the intervals after the search; ``--drops 3
+--runs 100 --population 100 --finish none --max-generations 2`` adds 0.04 MB per run. The paper's method
+(``--finish none``) keeps some 60 generations of 400, which is 1.8 MB per run.
 """
 
 import argparse
