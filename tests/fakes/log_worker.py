@@ -6,6 +6,7 @@ and says nothing); and what must not be: ``wrong`` (not what the bytes say, by t
 ``traceback``, ``hang``, ``memory``, ``crash``, ``words`` (no short sentence).
 """
 
+import contextlib
 import json
 import os
 import queue
@@ -18,7 +19,7 @@ from pathlib import Path
 # Seconds and bytes that one load may take: the whole bench is of logs of some kilobytes.
 SECONDS, BYTES, TIMES = 20.0, 1 << 30, 20
 BAD = ("wrong", "traceback", "hang", "memory", "crash", "words")
-_LONGEST = 1500
+_LONGEST, _PROC = 1500, Path("/proc/self")
 # Control characters, line ends and marks of direction.
 _UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
@@ -78,12 +79,16 @@ class Worker:
 
 
 def _status(key):
-    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+    """Return a number of this process [bytes]; 0 where the system has no /proc."""
+    if not _PROC.exists():
+        return 0
+    lines = (_PROC / "status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(key))
 
 
 def _reset_peak():
-    Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
+    with contextlib.suppress(OSError):  # only Linux has it
+        (_PROC / "clear_refs").write_text("5", encoding="utf-8")
 
 
 def difference(whole, log, damaged):
@@ -110,7 +115,6 @@ def difference(whole, log, damaged):
 
 def main():
     """Answer requests, one JSON text a line."""
-    import resource
     import warnings
 
     from fakes.log_oracle import assert_matches
@@ -122,7 +126,10 @@ def main():
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     formats()
     registry.entry_points = lambda group: ()  # other packages' formats take long to look for
-    resource.setrlimit(resource.RLIMIT_AS, (_status("VmSize") + 3 * BYTES,) * 2)
+    if _PROC.exists():
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (_status("VmSize") + 3 * BYTES,) * 2)
     wholes = {}
 
     def judged(asked):
