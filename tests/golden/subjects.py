@@ -220,7 +220,8 @@ def command(*arguments):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         done = CliRunner().invoke(app, [*map(str, arguments), "--json"], catch_exceptions=False)
-    assert done.exit_code == 0, f"{arguments}: {done.output}"
+    # 3: flagged, as a validation of a small fit is.
+    assert done.exit_code in (0, 3), f"{arguments}: {done.output}"
     return json.loads(done.stdout)
 
 
