@@ -122,7 +122,7 @@ class LocalThreads(Executor):
         return in_turn
 
     def close(self) -> None:
-        """Wait for the caller that computes: compiled code in two threads can end the process."""
+        """Wait for the caller that computes; whoever comes later is refused."""
         with self._turn:
             self._closed = True
 
@@ -338,7 +338,7 @@ _ONE_CHUNK = threading.Lock()
 
 def _compute(work: Work, rows: FloatArray) -> tuple[float, Columns]:
     """Compute a chunk on a worker; return its computing time [s] and its columns."""
-    # Compiled kernels that run in threads of their own must not be entered from two threads.
+    # Beside another chunk the measured time would be that of both.
     with _ONE_CHUNK:
         began = time.perf_counter()
         columns = work(rows)

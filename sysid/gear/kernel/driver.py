@@ -4,7 +4,7 @@
 drop) with an adaptive step and takes the next job when its drop ends; loops over lanes become packed
 instructions. Lanes never exchange numbers. A result therefore depends neither on the number of lanes and
 threads nor on the order of jobs, and a lost lane does not disturb others. One drop alone takes a lane while
-the others idle: that is no slower than a driver of one lane, which would have to be compiled too.
+the others idle: with AVX-512 that takes as long as a driver of one lane, which would be compiled as well.
 
 The method is an explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic Hermite
 polynomial of the step (order 3), and so do the times of touchdown, lift-off, flip and rest. A step
