@@ -80,14 +80,26 @@ def interval_table(document: Row) -> Table:
     """Return Table II with what the data leave open: value, mean ± σ of the sets, interval, verdict."""
     rows = document["parameters"]
     drawn, measured = (any(row.get(key) for row in rows) for key in ("bootstrap_95", "measured"))
-    at_bound = ["* the best set ends at a bound"] if any(row.get("at_bound") for row in rows) else []
+
+    def lost(row: Row) -> bool:
+        """Return whether digits of a parameter mean nothing."""
+        return bool(row["verdict"].startswith("not_"))
+
+    def best(row: Row) -> str:
+        return NONE if lost(row) else rounded(row["value"]) + ("*" if row.get("at_bound") else "")
+
+    def spread(row: Row) -> tuple[float, float]:
+        return row["mean"], row["sigma"]
+
+    marked = any("*" in best(row) for row in rows)
+    at_bound = ["* the best set ends at a bound"] if marked else []
     return table(
         "what the data determine: intervals of the profile likelihood",
         rows,
         (
             _PARAMETER,
-            numbers("best set", lambda row: rounded(row["value"]) + ("*" if row.get("at_bound") else "")),
-            numbers("mean ± σ of the sets", lambda row: mean_sigma((row["mean"], row["sigma"]))),
+            numbers("best set", best),
+            numbers("mean ± σ of the sets", lambda row: mean_sigma(None if lost(row) else spread(row))),
             numbers("95 % interval", lambda row: interval(row, 95)),
             numbers("half-width", lambda row: half_width(row["half_width"]), "%"),
             _VERDICT,
