@@ -21,8 +21,8 @@ distance of both contact laws.
 
 Low friction, first start only, steps of 0.5 ms, at most 10 iterations per stage: default 109 % in 22 s (1,062
 drops), staged 58 % in 64 s (3,552), ours 8.25 % in 2.6 s (15,702). The truth scores 8.3 %, in MuJoCo 12.9 %,
-12.1 % at steps of 0.1 ms. The peer identifies whatever MJCF describes, in space and with any sensor, and needs
-no kernel of its own; ours knows this gear only.
+12.1 % at steps of 0.1 ms. The peer identifies whatever MJCF describes, in space and with any sensor, and
+needs no kernel of its own; ours knows this gear only.
 """
 
 import argparse
