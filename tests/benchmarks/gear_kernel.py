@@ -74,7 +74,7 @@ def throughput(surface, drops, population):
     return out
 
 
-GOALS = {"LSODA": 200, "MuJoCo": 30}
+GOALS = {"LSODA": 500, "MuJoCo": 45}
 COLD = """
 import json, sys, time
 from pathlib import Path

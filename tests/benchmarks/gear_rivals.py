@@ -46,7 +46,8 @@ def body_rates(y, push, coefficients, k_s, b_s, law):
     n_c, n_d = normal_force(p_c, dp_c, k_s, b_s), normal_force(p_d, dp_d, k_s, b_s)
     f_c, f_d = low_friction(n_c, n_d, v_c, v_d, law)
     angles = (y[2], y[3], y[4], y[5], y[6])
-    a = accelerations(joints, angles, rates, push, (n_c, n_d), f_c, f_d, coefficients)
+    loads = (push[0], push[1], 0.0, 0.0, 0.0, 0.0)
+    a = accelerations(joints, angles, rates, loads, (n_c, n_d), f_c, f_d, coefficients)
     out = np.empty(14)
     out[:7] = y[7:14]
     for i in range(7):
