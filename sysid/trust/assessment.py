@@ -16,7 +16,7 @@ from sysid.fit.problem import Problem
 from sysid.journal import Say
 from sysid.trust.least_squares import Solved, solve
 from sysid.trust.linearized import Linearized, linearized, noise_model
-from sysid.trust.misfit import at_least, widened
+from sysid.trust.misfit import not_narrower, widened
 from sysid.trust.problem import nrmse_of, scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
 from sysid.trust.verdicts import verdict
@@ -151,7 +151,7 @@ def assess(
         again = walk_profiles(problem, linear, seed)
         walked = replace(again, evaluations=walked.evaluations + again.evaluations)
     if judged.verdict != EXPLAINED_BY:
-        walked = at_least(walked, problem.space, linear)
+        walked = not_narrower(walked, problem.space, linear)
     resampled = None
     if resamples > 0 and len(problem.trials) >= FEWEST:
         tell(f"{resamples} fits of resampled trials")

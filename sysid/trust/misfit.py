@@ -47,7 +47,7 @@ def widened(problem: Problem, linear: Linearized, without: FloatArray) -> Linear
     return replace(linear, information=information, half_widths=widths)
 
 
-def at_least(profiles: Profiles, space: SearchSpace, linear: Linearized) -> Profiles:
+def not_narrower(profiles: Profiles, space: SearchSpace, linear: Linearized) -> Profiles:
     """Return profiles whose intervals contain the `widened` linearized ones.
 
     The cost of a wrong model is rough and rises in steps, so that a profile may end before the misfit does.

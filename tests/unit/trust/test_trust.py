@@ -333,7 +333,7 @@ def test_the_recording_that_sees_the_blind_parameter_is_ranked_first():
     assert ranked[0].half_widths[1] == pytest.approx(NORMAL_95 * 0.1 / np.sqrt(200), rel=0.15)
     said = sentences(expected)
     assert said[0] == "well identifiable: p_0"
-    assert "p_1 (p1) is not identifiable" in said[1]
+    assert "p1 (p_1) is not identifiable" in said[1]
 
 
 def test_a_step_that_overshoots_is_no_convergence():
