@@ -410,7 +410,9 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
 
     added, approach = (terms.added, terms.approach) if extended else (terms.nothing_added, terms.no_approach)
     pair = surface.pair._asdict()
-    advanced, error = (
+    # Under a name that `drive` does not use: a compiled function in its closure would have another key in the
+    # disk cache in every process.
+    advanced, estimate = (
         njit(error_model="numpy", forceinline=True)(specialized(text, **pair))
         for text in (stages.advanced, _error)
     )
@@ -419,7 +421,7 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
         advanced=advanced, **pair,
     )  # fmt: skip
     stage = njit(error_model="numpy", inline="always")(text)
-    bound = specialized(drive, evaluate=stage, error=error, after_step=surface.after_step)
+    bound = specialized(drive, evaluate=stage, error=estimate, after_step=surface.after_step)
     return njit(cache=True, nogil=True, error_model="numpy")(bound)
 
 
