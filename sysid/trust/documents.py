@@ -234,8 +234,8 @@ class LadderRung(Part):
     """A fit with some terms: their titles, the value of every free parameter, and how well it predicts.
 
     ``over_noise`` is NRMSE over what noise alone costs [1], ``left_out`` the same of each trial as the fit of
-    the others predicts it. ``gain`` is the mean of what the last term takes off ``left_out``, ``chance`` the
-    probability that it does so by chance; NaN of the base. ``kept``: the term is worth its place.
+    the others predicts it. ``gain`` is the mean logarithm of what the last term takes off ``left_out``,
+    ``chance`` the probability that it does so by chance; NaN of the base. ``kept``: worth its place.
     """
 
     terms: list[str]

@@ -2,8 +2,9 @@
 
 Every rung frees the parameters of a term, walks downhill from the fit's optimum, and is fitted again without
 each trial in turn. A term is kept where it predicts the trials left out better than the rung below by more
-than chance: the gains of the trials (NRMSE over noise) are tested against zero (Student, one-sided), and the
-probability is multiplied by the number of terms that were looked at (Bonferroni).
+than chance. A trial's gain is the logarithm of the factor by which its NRMSE falls. If a term buys nothing,
+every gain may as well have the other sign: the chance is the share of all sign changes under which the best of
+the terms that were looked at gains as much on average (max-statistic, Westfall & Young 1993).
 """
 
 from __future__ import annotations
@@ -12,20 +13,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student
 
 from sysid.errors import FitError
 from sysid.fit.least_squares import Fronts, MeanNrmse, descend, drive
 from sysid.fit.problem import Problem, Term
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
-from sysid.trust.influence import FEWEST
 from sysid.trust.least_squares import solve
 from sysid.trust.problem import nrmse_of, scales, trial_rows
 from sysid.types import FloatArray
 
 # A term is kept up to this probability of chance, if it buys at least this of the noise [1].
 CHANCE, LEAST_GAIN = 0.05, 0.01
+# Of five trials one in 32 sign changes has all gains above zero: fewer cannot show what is no chance.
+FEWEST = 5
+# Sign changes that are looked at, at most.
+_CHANGES = 4096
 # Terms that are kept, at most.
 MOST = 4
 # Where a term's walks begin, from its value in the paper's model on [unit cube]; the first cannot end worse.
@@ -51,8 +54,8 @@ class TermFit:
         The same over what noise alone costs [1].
     left_out : (T,) array
         NRMSE over noise of each trial, predicted by the fit of the others [1]; NaN where not computed.
-    chance : float
-        Probability that the gain over the rung below is chance, for all terms looked at [1]; NaN of the base.
+    gain, chance : float
+        Mean gain over the rung below, and the probability that it is chance [1]; NaN of the base.
     """
 
     terms: tuple[Term, ...]
@@ -61,8 +64,8 @@ class TermFit:
     nrmse: float
     ratio: float
     left_out: FloatArray
-    chance: float = np.nan
     gain: float = np.nan
+    chance: float = np.nan
 
     @property
     def kept(self) -> bool:
@@ -122,19 +125,17 @@ class Climber:
         alone = []
         for term in terms:
             self._say(f"{term.title}: fitted, and fitted without each trial")
-            alone.append(self._judged(self._left_out(self._with(base, term)), base, len(terms)))
-        together: list[TermFit] = []
-        first = min(alone, key=lambda rung: float(np.mean(rung.left_out)), default=None)
-        if first is not None:
-            together.append(first)
-        while together and together[-1].kept and len(together) < MOST:
+            alone.append(self._left_out(self._with(base, term)))
+        alone = _judged(alone, base)
+        together = [max(alone, key=lambda rung: rung.gain)]
+        while together[-1].kept and len(together) < MOST:
             below = together[-1]
             others = [term for term in terms if term not in below.terms]
             if not others:
                 break
             self._say(f"{' and '.join(term.title for term in below.terms)}: which term comes next?")
             best = min((self._with(below, term) for term in others), key=lambda rung: rung.nrmse)
-            together.append(self._judged(self._left_out(best), below, len(others)))
+            together += _judged([self._left_out(best)], below)
         return Ladder(base, tuple(alone), tuple(together), self.evaluations)
 
     def _with(self, below: TermFit, term: Term) -> TermFit:
@@ -177,11 +178,19 @@ class Climber:
         weights = np.array([block.weight for block in blocks]) * of_trial
         return replace(rung, left_out=np.sum(weights * levels, axis=1) / (weights @ self._floors))
 
-    @staticmethod
-    def _judged(rung: TermFit, below: TermFit, looks: int) -> TermFit:
-        """Return a rung with the gain over the one below and the probability that it is chance."""
-        gains = below.left_out - rung.left_out
-        error = float(np.std(gains, ddof=1) / np.sqrt(len(gains)))
-        statistic = float(np.mean(gains)) / max(error, 1e-12)
-        chance = float(min(1.0, looks * student.sf(statistic, len(gains) - 1)))
-        return replace(rung, gain=float(np.mean(gains)), chance=chance)
+
+def _judged(rungs: Sequence[TermFit], below: TermFit) -> list[TermFit]:
+    """Return rungs with their gains over the one below, and the chance of each, for all of them together."""
+    gains = np.log(below.left_out / np.array([rung.left_out for rung in rungs]))
+    count = gains.shape[1]
+    if 2**count <= _CHANGES:
+        signs = 1 - 2 * (np.arange(2**count)[:, None] >> np.arange(count) & 1)
+    else:
+        signs = np.random.default_rng(0).choice((-1, 1), (_CHANGES, count))
+        signs[0] = 1
+    means = gains.mean(axis=1)
+    largest = np.max(signs @ gains.T, axis=1) / count
+    return [
+        replace(rung, gain=float(mean), chance=float(np.mean(largest >= mean - 1e-12)))
+        for rung, mean in zip(rungs, means, strict=True)
+    ]

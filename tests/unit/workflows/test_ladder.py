@@ -65,8 +65,8 @@ def test_refusals(lag, tmp_path, refused):
     path, folder = lag
     refused("write it to", "ladder", folder, "--adopt", tmp_path / "elsewhere.toml")
     refused("exists", "ladder", folder, "--adopt", path)
-    _, few = fitted(tmp_path, names=NAMES[:3])
-    refused("needs 3 or more", "ladder", few)
+    _, few = fitted(tmp_path, names=NAMES[:5])
+    refused("needs 5 or more", "ladder", few)
 
 
 @pytest.mark.parametrize(
