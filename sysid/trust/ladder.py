@@ -3,8 +3,8 @@
 Every rung frees the parameters of a term, walks downhill from the fit's optimum, and is fitted again without
 each trial in turn. A term is kept where it predicts the trials left out better than the rung below by more
 than chance. A trial's gain is the logarithm of the factor by which its NRMSE falls. If a term buys nothing,
-every gain may as well have the other sign: the chance is the share of all sign changes under which the best of
-the terms that were looked at gains as much on average (max-statistic, Westfall & Young 1993).
+every gain may as well have the other sign: the chance is the share of all sign changes under which the best
+of the terms looked at gains as much on average (max-statistic, Westfall & Young 1993).
 """
 
 from __future__ import annotations
