@@ -32,7 +32,7 @@ found = {}
 for name in ("lf", "hf"):
     law = model.find_surface(name)
     model.prepare(law)
-    stats = model._driver(model._LANES, law).stats
+    stats = model._driver(model._LANES, law, False).stats
     found[name] = [sum(stats.cache_hits.values()), sum(stats.cache_misses.values())]
 print(json.dumps(found))
 """
@@ -143,7 +143,7 @@ drops = Drops(np.array([0.2, 0.5]), np.array(STARTS), [np.arange(0, 0.0401, 0.00
 out = {}
 for name in ("lf", "hf"):
     law = find_surface(name)
-    driver = _driver(_LANES, law)
+    driver = _driver(_LANES, law, False)
     found = simulate_population(pack({}, law), drops, surface=law, tolerance=1e-6, threads=1)
     out[name] = [found.samples.tolist(), found.rhs_evaluations.tolist()]
     (code,) = driver.inspect_asm().values() if not driver.stats.cache_hits else ("",)
