@@ -142,7 +142,10 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
             "command_delays": log_delays(problem, rows[0]),
             "saturation": _about_saturation(problem, band, rows[0], given),
         }
-        settings[INTERVALS] = _band_intervals(settings["saturation"].get(_PROFILES, {}))
+        # Without a scale the current itself means nothing, whatever range of it serves.
+        alone = () if bench.scale_known else SATURATION[:1]
+        ranges = settings["saturation"].get(_PROFILES, {})
+        settings[INTERVALS] = _band_intervals({name: ranges[name] for name in ranges if name not in alone})
         cut = _judge(problem, course, sets, best, band is not None or given, settings)
     else:
         settings["saturation"] = {"fitted": False, "why": _WHY[cut]}

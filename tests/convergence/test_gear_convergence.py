@@ -51,7 +51,7 @@ def test_ringing_is_stable_as_far_as_declared(pair):
     # Not much less than the method could: CREEPING 2.23 without damping, 3.01 at a fifth; RINGING 2.81, 4.20.
     assert growth(pair, 1.03 * pair.RING_LIMIT * 1j) > 1.0
     most = pair.RING_MOST - 0.2 * pair.RING_FALL
-    assert growth(pair, 1.06 * most * complex(-0.2, math.sqrt(0.96))) > 1.0
+    assert growth(pair, (1.02 if pair is CREEPING else 1.06) * most * complex(-0.2, math.sqrt(0.96))) > 1.0
 
 
 def test_the_ringing_pair_estimates_less_where_legs_ring():

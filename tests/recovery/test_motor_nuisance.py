@@ -227,9 +227,10 @@ def test_without_a_scale_only_its_combinations_are_reported(tmp_path: Path, caps
     print_sets(folder, json=False)
     shown = capsys.readouterr().out
     for text in (shown, (folder / "summary.txt").read_text(encoding="utf-8")):
+        # Of a table that is folded the first part has the values.
         lines = {
             line.split(" ")[1 if line.startswith(" ") else 0]: line
-            for line in text.splitlines()
+            for line in reversed(text.splitlines())
             if line.strip()
         }
         for symbol in ("R", "L", "I_sat"):

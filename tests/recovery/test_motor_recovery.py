@@ -126,7 +126,7 @@ def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path
     damping = result.settings["profiles"]["viscous_damping"]
     assert not damping["identified"]
     assert 9.2e-9 < damping["below"] < 1e-6
-    assert any("viscous_damping is not identifiable" in sentence for sentence in result.warnings)
+    assert any("viscous damping (k_d) is not identifiable" in one for one in result.warnings), result.warnings
     capsys.readouterr()
     print_sets(folder, json=False)
     shown = capsys.readouterr().out
@@ -330,7 +330,7 @@ def test_freed_parameters_that_no_log_fixes_are_noticed(campaign_file: Path) -> 
         pairs = ((r"^\[fit\]", free), *edits)
         return motor_space(*bench_of(edited(campaign_file, *pairs, name="freed-more.toml")))
 
-    with pytest.warns(UserWarning, match="torque_constant free beside winding_resistance.* only k²/R, R/L"):
+    with pytest.warns(UserWarning, match="torque_constant free with winding_resistance.* only k²/R, R/L"):
         space("winding_resistance", "torque_constant")
     with pytest.raises(CampaignError, match="thrust_quadratic_forward, on which neither torque nor speed"):
         space("winding_resistance", "thrust_quadratic_forward")

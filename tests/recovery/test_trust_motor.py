@@ -172,7 +172,10 @@ def test_check_on_a_motor_says_what_to_record_next(bench: Path) -> None:
     rows = {row["name"]: row for row in found["parameters"]}
     assert rows["viscous_damping"]["verdict"] == "not_identifiable"
     assert rows["winding_resistance"]["verdict"] == "well"
-    assert rows["winding_inductance"]["verdict"] == "well"
+    # Well at the defaults; over the bounds, where the truth may be, a tenth stays open: the worse one counts.
+    inductance = rows["winding_inductance"]
+    assert inductance["half_width"] < 0.01 < 0.1 < inductance["half_width_over_bounds"] < 0.5
+    assert inductance["verdict"] == "weakly"
     assert any(re.search("coasts down", one) for one in found["sentences"])
     # More of the same averages noise, not the one torque curve that all trials share: nothing is lifted.
     assert "no single trial of its kind within the lab's reach determines k_d" in found["sentences"]

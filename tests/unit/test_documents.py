@@ -54,7 +54,7 @@ def test_floats_come_back_bit_for_bit(values):
         ("[1]", "not a note of sysid"),
         ('{"schema": "sysid-note", "version": 1}', "version 1, expected 2"),
         ('{"schema": "sysid-note", "version": 2, "val', "damaged or cut off"),
-        ('{"schema": "sysid-note", "version": 2}', r"damaged .*values: Field required"),
+        ('{"schema": "sysid-note", "version": 2}', r"damaged .*values: it is missing"),
         ('{"schema": "sysid-note", "version": 2, "values": [], "colour": 1}', "damaged .*colour"),
         ('{"schema": "sysid-note", "version": 2, "values": [], "rows": [{}]}', r"damaged .*rows\.0\.name"),
     ],

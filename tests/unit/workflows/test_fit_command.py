@@ -83,7 +83,7 @@ def test_fits_lists_states(campaign, run, refused):
         Path("fits", name, "fit.h5").write_bytes(b"dust")
     found = {entry.name: entry for entry in list_fits("fits")}
     assert {name: entry.state for name, entry in found.items()} == {
-        "broken": "damaged", "cut": "stopped", "demo/motor": "damaged", "whole": "done",
+        "broken": "damaged", "cut": "stopped", "demo/motor": "damaged", "whole": "cut",
     }  # fmt: skip
     assert found["whole"].nrmse == read_fit("fits/whole").nrmse[0]
     assert found["cut"].nrmse == read_fit("fits/cut").nrmse[0]
