@@ -15,7 +15,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
     [str(_TESTS.parent), str(_TESTS), *filter(None, [os.environ.get("PYTHONPATH")])]
 )
 
-# A shell starts what runs in its background with Ctrl-C ignored; the tests of Ctrl-C need it as on a terminal.
+# A shell starts what runs in its background with Ctrl-C ignored; its tests need it as on a terminal.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
