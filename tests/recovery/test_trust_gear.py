@@ -288,7 +288,7 @@ def test_a_wrong_model_is_flagged_by_its_ratio_to_the_noise(case, tmp_path):
 def test_three_replications_hold_the_truth(tmp_path):
     from interval_coverage import replicate  # type: ignore[import-not-found]
 
-    found = [one for seed in (1001, 1002, 1003) for one in replicate(seed, "lf", tmp_path)]
+    found = [one for seed in (1001, 1002, 1003) for one in replicate(seed, "lf", tmp_path)[1]]
     known = [one for one in found if one.name != "ground_damping"]
     # 21 intervals of 95 %, seven of each campaign correlated: fewer than 18 by chance in 1 %.
     assert sum(one.inside for one in known) >= 18

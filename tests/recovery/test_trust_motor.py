@@ -14,6 +14,7 @@ from sysid.report.trust_tables import validation_table
 from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 from sysid.trust.problem import nrmse_of
+from sysid.trust.verdicts import verdict
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
 from sysid.workflows.fit import fit_motor
@@ -201,7 +202,8 @@ def test_the_trial_that_is_suggested_fixes_what_it_promises(tmp_path: Path) -> N
               if steps["verdicts"][n] != before[n]["verdict"]]  # fmt: skip
     assert "winding_inductance" in lifted
     for name in lifted:
-        assert after[name]["verdict"] == steps["verdicts"][name]
+        # The promise is on the half-width at the value; the verdict of a check may be worse over the bounds.
+        assert verdict(after[name]["half_width"]) == steps["verdicts"][name]
         # Its own delay and the noise of another draw: the same within a third.
         assert after[name]["half_width"] == pytest.approx(steps["half_widths"][name], rel=0.35)
     assert after["viscous_damping"]["verdict"] == "not_identifiable"
@@ -211,7 +213,7 @@ def test_the_trial_that_is_suggested_fixes_what_it_promises(tmp_path: Path) -> N
 def test_three_motors_lie_within_their_intervals(tmp_path: Path) -> None:
     from interval_coverage import replicate  # type: ignore[import-not-found]
 
-    found = [one for seed in (2001, 2003, 2010) for one in replicate(seed, "motor", tmp_path)]
+    found = [one for seed in (2001, 2003, 2010) for one in replicate(seed, "motor", tmp_path)[1]]
     known = [one for one in found if one.name != "viscous_damping"]
     assert [one.name for one in known] == ["winding_resistance", "winding_inductance"] * 3
     # Six intervals of 95 %: fewer than five by chance in 3 %; none far outside.

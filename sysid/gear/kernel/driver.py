@@ -6,8 +6,8 @@ instructions. Lanes never exchange numbers. A result therefore depends neither o
 threads nor on the order of jobs, and a lost lane does not disturb others. One drop alone takes a lane while
 the others idle: with AVX-512 that takes as long as a driver of one lane, which would be compiled as well.
 
-The method is an explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic Hermite
-polynomial of the step (order 3), and so do the times of touchdown, lift-off, flip and rest. A step
+The method is the explicit pair of `sysid.integrate.tableau`; samples between steps come from the cubic
+Hermite polynomial of the step (order 3), and so do the times of touchdown, lift-off, flip and rest. A step
 stays within the stability limit of the method for the slip of a creeping foot and for a leg that rings on the
 ground; without that limit every fourth step there grows unstable and is repeated. On a surface with modes a
 step ends where a foot loses its mode (`sysid.gear.surfaces.high_friction`). Under thrust it ends where a
@@ -45,14 +45,12 @@ from sysid.gear.kernel.parameter_row import THRUST_POINT_DX
 from sysid.gear.kernel.stage import law_at
 from sysid.gear.surfaces.surface import Surface, law_text, specialized
 from sysid.integrate.fused import chosen, fused
-from sysid.integrate.tableau import CREEPING, STAGES
+from sysid.integrate.tableau import STAGES, E
 
 # Bound to a surface's functions when a driver or a reader is made.
 evaluate: Any = None
 after_step: Any = None
 friction: Any = None
-error: Any = None
-E = CREEPING.E
 
 OK = 0
 STEP_COLLAPSED = 1
@@ -79,6 +77,7 @@ FIRST_STEP = 6e-5
 _SAME = 1e-10
 
 
+@njit(error_model="numpy", forceinline=True)
 @fused
 def _error(work, lane, lanes):
     """Sum of the squared, weighted errors of a step's rates over its length squared."""
@@ -124,10 +123,7 @@ def fingerprint(surface: Surface) -> int:
     sources = sorted(folder.glob("*.py"))
     sources += [folder.parent / "surfaces" / "surface.py"]
     sources += [folder.parent.parent / "integrate" / f"{name}.py" for name in ("fused", "tableau")]
-    pair = surface.pair.A.tobytes() + surface.pair.E.tobytes()
-    text = (
-        surface.name.encode() + pair + b"".join(source.read_bytes() for source in sources) + law_text(surface)
-    )
+    text = surface.name.encode() + b"".join(source.read_bytes() for source in sources) + law_text(surface)
     return int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
 
 
@@ -209,7 +205,7 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
                 evaluate(work, 5, lane, lanes)
             attention = 0
             for lane in range(lanes):
-                total = error(work, lane, lanes)
+                total = _error(work, lane, lanes)
                 h = work[at.STEP * lanes + lane]
                 total = total * h * h * per_tolerance
                 # Fourth root of the error (of its square, the eighth): close to the cube root, and packed.
@@ -409,19 +405,11 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
                 work[at.FRESH * lanes + lane] = fresh
 
     added, approach = (terms.added, terms.approach) if extended else (terms.nothing_added, terms.no_approach)
-    pair = surface.pair._asdict()
-    # Under a name that `drive` does not use: a compiled function in its closure would have another key in the
-    # disk cache in every process.
-    advanced, estimate = (
-        njit(error_model="numpy", forceinline=True)(specialized(text, **pair))
-        for text in (stages.advanced, _error)
-    )
     text = specialized(
-        stages.evaluate, solve=surface.solve, modes=surface.switching, added=added, approach=approach,
-        advanced=advanced, **pair,
-    )  # fmt: skip
+        stages.evaluate, solve=surface.solve, modes=surface.switching, added=added, approach=approach
+    )
     stage = njit(error_model="numpy", inline="always")(text)
-    bound = specialized(drive, evaluate=stage, error=estimate, after_step=surface.after_step)
+    bound = specialized(drive, evaluate=stage, after_step=surface.after_step)
     return njit(cache=True, nogil=True, error_model="numpy")(bound)
 
 

@@ -8,20 +8,20 @@ from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.dynamics import Coefficients, feet, pose, ringing
 from sysid.gear.kernel.geometry import normal_force
 from sysid.integrate.fused import fused
-from sysid.integrate.tableau import CREEPING, STAGES
+from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C
 
 # Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
 # step.
 STABLE = 0.9
 
-# Bound to a surface's functions and pair of methods, and to `sysid.gear.kernel.terms`, when a driver is made.
+# Bound to a surface's functions, and to `sysid.gear.kernel.terms`, when a driver is made.
 solve: Any = None
 modes: Any = None
 added: Any = None
 approach: Any = None
-A, A_TWICE, C, _, REAL_LIMIT, RING_LIMIT, RING_GAIN, RING_MOST, RING_FALL = CREEPING
 
 
+@njit(error_model="numpy", forceinline=True)
 @fused
 def advanced(work, stage, i, lane, lanes):
     """Coordinate `i` of one lane and its rate at the start of a stage.
@@ -113,9 +113,7 @@ def evaluate(work, stage, lane, lanes):
     if stage == STAGES:
         rate, damping = ringing(joints, h_c, h_d, (n_c, n_d), k_s, coefficients)
         reach = RING_LIMIT + RING_GAIN * damping
-        most = RING_MOST - RING_FALL * damping
-        reach = reach if reach < most else most
-        rate = rate / (reach if reach > 1.0 else 1.0)
+        rate = rate / (reach if reach < RING_MOST else RING_MOST)
         stiff = (stiff if stiff > decay else decay) * (1.0 / (STABLE * REAL_LIMIT))
         work[at.STIFF * lanes + lane] = stiff if stiff > rate else rate
         work[at.NORMAL * lanes + lane] = n_c

@@ -13,7 +13,6 @@ from numba import njit
 
 from sysid.gear.kernel.dynamics import accelerations, foot_looseness
 from sysid.gear.kernel.parameter_row import LAW_SLOTS
-from sysid.integrate.tableau import CREEPING, Pair
 
 # Free on every surface by default.
 LEGS_AND_GROUND = (
@@ -58,8 +57,6 @@ class Surface:
         Bound of the weighted rms error of the seven rates per step that a fit needs on this surface.
     budget : float
         Right-hand sides that a drop may spend per second of its length at that tolerance.
-    pair : Pair
-        The integration method: by what limits the step on this surface.
     """
 
     name: str
@@ -72,7 +69,6 @@ class Surface:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     tolerance: float = 3e-4
     budget: float = 4.5e4
-    pair: Pair = CREEPING
     source: str = ""
     title: str = ""
 
