@@ -42,9 +42,10 @@ import numpy as np
 from fakes.foreign_gear import drawn_terms, simulator
 from sysid.campaign import read_campaign
 from sysid.fit.adequacy import Adequacy
+from sysid.fit.problem import Problem
 from sysid.synthetic import read_truth, synthesize_gear, synthesize_motor
 from sysid.synthetic.motor import TRIALS
-from sysid.trust.assessment import assess
+from sysid.trust.assessment import Assessment, assess
 from sysid.workflows.kinds import find_kind
 
 
@@ -84,10 +85,16 @@ def replicate(seed: int, problem: str, folder: Path, foreign: int = 0) -> tuple[
     path, true = out / "campaign.toml", read_truth(out)["parameters"]
     fitted = find_kind(kind).open(read_campaign(path, kind), path, None).fitted
     fitted = fitted if kind == "motor" else fitted.exact
+    assessed, intervals = judged(fitted, true)
+    return assessed.adequacy, intervals
+
+
+def judged(fitted: Problem, true: dict[str, float]) -> tuple[Assessment, list[Covered]]:
+    """Assess a problem of fitted trials from its true parameters."""
     free = fitted.space.free
     truth = np.array([true[row.common_name] for row in free])
     assessed = assess(fitted, fitted.space.encode(truth), resamples=0)
-    return assessed.adequacy, [
+    return assessed, [
         Covered(p.name, t, p.best, *p.interval_95, p.half_width, word)
         for p, t, row, word in zip(assessed.profiles.profiles, truth, free, assessed.verdicts, strict=True)
         if not row.trial

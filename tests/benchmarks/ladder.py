@@ -1,11 +1,13 @@
 """Does the ladder name what is missing? LF campaigns whose truth has terms that the paper's model lacks.
 
-    python tests/benchmarks/ladder.py [--campaigns 20] [--first-seed 101] [--foreign 1]
+    python tests/benchmarks/ladder.py [--campaigns 20] [--first-seed 101] [--terms 0|1|3]
 
 The ladder starts at the true parameters of the paper's model, as a fit's best set would be near them. Printed
 for each campaign: the terms of its truth, the terms that the ladder keeps, NRMSE over noise before and after,
-and the errors of the parameters with the terms kept. Foreign terms come from `fakes.foreign_gear`, which has
-no code of the kernel and smooths dry friction in another way.
+the errors of the parameters with the terms kept, the verdict on the base model, how many of its 95 %
+intervals contain the truth or are declared not interpretable, and by how much misfit widens them (1 where
+noise explains the drops). Without foreign terms the model is right. Foreign terms come from
+`fakes.foreign_gear`, which has no code of the kernel and smooths dry friction in another way.
 """
 
 from __future__ import annotations
@@ -13,12 +15,14 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from fakes.foreign_gear import NONE, TERMS, simulator
+from interval_coverage import Covered, judged
 from sysid.campaign import read_campaign
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.trust.ladder import Climber, Ladder
@@ -44,19 +48,32 @@ WANTED = {
 
 @dataclass(frozen=True, eq=False)
 class Climbed:
-    """A ladder, the parameters that its truth adds to the model, and the errors of the best rung [1]."""
+    """A ladder, the parameters that its truth adds to the model, and the errors of the best rung [1].
+
+    `model` is the verdict on the base model, `worst` its residual over noise in the worst channel or in the
+    mean [1]. `intervals` are those of its parameters, `widening` the deviations over those that noise alone
+    leaves, the median and the largest [1].
+    """
 
     ladder: Ladder
     missing: tuple[str, ...]
     errors: dict[str, float]
+    model: str
+    worst: float
+    intervals: list[Covered]
+    widening: tuple[float, float]
 
     @property
     def kept(self) -> list[str]:
         return [name for term in self.ladder.best.terms for name in term.parameters]
 
+    @property
+    def missed(self) -> list[str]:
+        return [row.name for row in self.intervals if not row.inside]
+
 
 def climbed(seed: int, count: int, folder: Path) -> Climbed:
-    """Synthesize drops with `count` foreign terms of at least half of their size, and climb."""
+    """Synthesize drops with `count` foreign terms of at least half of their size, assess the fit, climb."""
     source = np.random.default_rng(seed)
     drawn = source.choice(sorted(NAMES), count, replace=False)
     foreign = {name: NONE[name] + (TERMS[name] - NONE[name]) * source.uniform(0.5, 1.0) for name in drawn}
@@ -67,7 +84,14 @@ def climbed(seed: int, count: int, folder: Path) -> Climbed:
     start = fitted.space.encode(np.array([true[name] for name in fitted.space.names]))
     ladder = Climber(fitted, np.clip(start, 0.0, 1.0)).climb(kind.terms)
     errors = {name: ladder.best.values[name] / true[name] - 1 for name in WANTED}
-    return Climbed(ladder, tuple(NAMES[name] for name in drawn), errors)
+    assessed, intervals = judged(fitted.exact, true)
+    wider = assessed.linear.information.sigma / assessed.noise.information.sigma
+    judgement = assessed.adequacy
+    return Climbed(
+        ladder, tuple(NAMES[name] for name in drawn), errors, judgement.verdict,
+        max(judgement.ratio, judgement.misfit.channel_ratio), intervals,
+        (float(np.median(wider)), float(wider.max())),
+    )  # fmt: skip
 
 
 def main() -> None:
@@ -75,28 +99,43 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--campaigns", type=int, default=20)
     options.add_argument("--first-seed", type=int, default=101)
-    options.add_argument("--foreign", type=int, default=1)
+    options.add_argument("--terms", "--foreign", type=int, choices=(0, 1, 3), default=1)
     chosen = options.parse_args()
-    first = near = explained = 0
+    first = near = explained = kept_none = inside = total = 0
+    words: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(chosen.first_seed, chosen.first_seed + chosen.campaigns):
             began = time.process_time()
-            result = climbed(seed, chosen.foreign, Path(folder))
+            result = climbed(seed, chosen.terms, Path(folder))
             kept, errors, best = result.kept, result.errors, result.ladder.best
             first += bool(kept) and kept[0] in result.missing
+            kept_none += not kept
             near += all(abs(errors[name]) <= limit for name, limit in WANTED.items())
             explained += best.ratio <= 1.15
+            words.append(result.model)
+            inside += len(result.intervals) - len(result.missed)
+            total += len(result.intervals)
             off = ", ".join(f"{name} {100 * error:+.1f} %" for name, error in errors.items())
+            unread = sum(row.verdict == "not_interpretable" for row in result.intervals)
             print(
-                f"seed {seed}: missing {', '.join(result.missing)}; kept {', '.join(kept) or 'none'}; over "
-                f"noise {result.ladder.base.ratio:.2f} -> {best.ratio:.2f}; {off}; "
+                f"seed {seed}: missing {_listed(result.missing)}; kept {_listed(kept)}; over noise "
+                f"{result.ladder.base.ratio:.2f} -> {best.ratio:.2f}; {off}; base {result.model} "
+                f"({result.worst:.2f} x noise), covers {len(result.intervals) - len(result.missed)} of "
+                f"{len(result.intervals)} (missed {_listed(result.missed)}; {unread} not interpretable; "
+                f"widths x {result.widening[0]:.2f}, at most {result.widening[1]:.2f}); "
                 f"{time.process_time() - began:.0f} s",
                 flush=True,
             )
+    verdicts = _listed([f"{words.count(word)} {word}" for word in dict.fromkeys(words)])
     print(
-        f"first term right in {first} of {chosen.campaigns}, NRMSE within 1.15 x noise in {explained}, "
-        f"parameters within 3 and 8 % in {near}"
+        f"first term right in {first} of {chosen.campaigns}, none kept in {kept_none}, NRMSE within 1.15 x "
+        f"noise in {explained}, parameters within 3 and 8 % in {near}; intervals of the base model: {inside} "
+        f"of {total}; verdicts: {verdicts}"
     )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) or "none"
 
 
 if __name__ == "__main__":
