@@ -1,23 +1,52 @@
-"""sysid: physical parameters of multirotor motors and landing gears from the logs of a lab."""
+"""sysid: physical parameters of multirotor motors and landing gears from the logs of a lab.
 
+    import sysid
+    fit = sysid.fit_motor("data_samples/motor")
+    fit.table
+
+`sysid.api` documents what is offered.
+"""
+
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sysid.export import load_parameter_sets as load_parameter_sets
+    from sysid.api import Campaign as Campaign
+    from sysid.api import Fit as Fit
+    from sysid.api import Kind as Kind
+    from sysid.api import fit_campaign as fit_campaign
+    from sysid.api import fit_gear as fit_gear
+    from sysid.api import fit_motor as fit_motor
+    from sysid.api import inspect as inspect
+    from sysid.api import load_fit as load_fit
+    from sysid.api import load_log as load_log
+    from sysid.api import load_parameter_sets as load_parameter_sets
+    from sysid.api import register as register
+    from sysid.api import simulate_drop as simulate_drop
+    from sysid.api import simulate_landing as simulate_landing
+    from sysid.errors import SysidError as SysidError
     from sysid.parameter_sets import ParameterSets as ParameterSets
 
 __version__ = "0.1.0"
-__all__ = ["ParameterSets", "load_parameter_sets"]
+# Imported on first use: `import sysid` stays light.
+_HOMES = {
+    "sysid.api": (
+        "Campaign", "Fit", "Kind", "fit_campaign", "fit_gear", "fit_motor", "inspect", "load_fit", "load_log",
+        "register", "simulate_drop", "simulate_landing",
+    ),
+    "sysid.errors": ("SysidError",),
+    "sysid.export": ("load_parameter_sets",),
+    "sysid.parameter_sets": ("ParameterSets",),
+}  # fmt: skip
+__all__ = sorted(name for names in _HOMES.values() for name in names)
 
 
 def __getattr__(name: str) -> Any:
-    # Imported on first use: `import sysid` stays light.
-    if name == "load_parameter_sets":
-        from sysid.export import load_parameter_sets
-
-        return load_parameter_sets
-    if name == "ParameterSets":
-        from sysid.parameter_sets import ParameterSets
-
-        return ParameterSets
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(home), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -7,11 +7,12 @@ exactly this; see `sysid.export`.
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,11 @@ from sysid import exact_json
 from sysid.documents import Document, OpenMapping, Part
 from sysid.errors import ExportError
 from sysid.parameters import Parameter, SearchSpace
+from sysid.shown import Shown
 from sysid.types import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # How a number got its value: the search found it between its bounds; it was measured outside the fit; it is a
 # default, a rating or a guess, see its source; it follows from the other values of the set; nothing that was
@@ -153,6 +158,15 @@ NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
 INTERVALS = "intervals"
 
 
+def interval_columns(row: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return ends and verdict of one of `INTERVALS` by column; an open end is infinite, unknown is NaN."""
+    if row is None:
+        return {"interval_low": math.nan, "interval_high": math.nan, "verdict": ""}
+    (low, high), (below, above) = row["interval_95"], row["open_95"]
+    ends = {"interval_low": -math.inf if below else low, "interval_high": math.inf if above else high}
+    return ends | {"verdict": row["verdict"]}
+
+
 def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
     """Return what a table prints instead of a number that the data do not determine; None where they do.
 
@@ -209,7 +223,7 @@ def parameter_records(
     return (*out, *derived)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class SetsContent:
     """Ranked sets of one model, best first: what a fit and the sets exported from it share.
 
@@ -250,13 +264,55 @@ class SetsContent:
         for name in ("settings", "provenance"):
             object.__setattr__(self, name, exact_json.plain(getattr(self, name)))
 
+    def __repr__(self) -> str:
+        count = len(self.nrmse)
+        best = f", best NRMSE {100 * self.nrmse[0]:.2f} %" if count and math.isfinite(self.nrmse[0]) else ""
+        sets = f"{count} set{'' if count == 1 else 's'} of {len(self.parameters)} parameters"
+        return f"<{type(self).__name__} {self.name} ({self.kind}): {sets}{best}>"
+
     def content(self) -> dict[str, Any]:
         """Return these fields by name."""
         return {field.name: getattr(self, field.name) for field in fields(SetsContent)}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ParameterSets(SetsContent):
+class RankedSet(dict[str, float]):
+    """One set: every number by the parameter's name [SI], read and set by its symbol too.
+
+    `sets` are where it comes from and `rank` its place in them; simulators read the surface and the source
+    from there.
+    """
+
+    def __init__(self, sets: ParameterSets, rank: int) -> None:
+        super().__init__(zip(sets.names, sets.values[rank - 1].tolist(), strict=True))
+        self.sets, self.rank = sets, rank
+
+    def __missing__(self, key: str) -> float:
+        return self[self.sets.names[self.sets.column(key)]]
+
+    def __setitem__(self, key: str, value: float) -> None:
+        super().__setitem__(self.sets.names[self.sets.column(key)], float(value))
+
+    def known(self, names: Collection[str] | None = None) -> dict[str, float]:
+        """Return the values [SI], or those that are among `names`; refuse NaN."""
+        values = {name: value for name, value in self.items() if names is None or name in names}
+        missing = [name for name, value in values.items() if math.isnan(value)]
+        if missing:
+            raise ExportError(
+                f"{self.sets.name}, set {self.rank}: {', '.join(missing)} unknown (NaN), so nothing can be "
+                "simulated; record what determines it, or state it in the campaign, and fit again"
+            )
+        return values
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Copies are made from `sets`, then take what was changed.
+        return type(self), (self.sets, self.rank), None, None, iter(self.items())
+
+    def __repr__(self) -> str:
+        return f"<RankedSet {self.rank} of {self.sets.name} ({self.sets.kind}): {len(self)} parameters>"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ParameterSets(SetsContent, Shown):
     """Parameter sets of one model, best first, without the search behind them.
 
     Parameters
@@ -318,23 +374,66 @@ class ParameterSets(SetsContent):
         """Name of every parameter, in column order."""
         return tuple(record.name for record in self.parameters)
 
-    def set_values(self, rank: int = 1) -> dict[str, float]:
+    def column(self, name: str) -> int:
+        """Return the column of `values` of a parameter, by name or symbol."""
+        if name in self.names:
+            return self.names.index(name)
+        found = [i for i, record in enumerate(self.parameters) if record.symbol == name]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            several = " and ".join(self.names[i] for i in found)
+            raise ExportError(f"{self.name}: {name!r} is the symbol of {several}; give the name")
+        near = difflib.get_close_matches(name, [*self.names, *(r.symbol for r in self.parameters)], 1)
+        hint = f"; nearest is {near[0]!r}" if near else f"; known are {', '.join(self.names)}"
+        raise ExportError(f"{self.name}: no parameter {name!r}{hint}")
+
+    def __getitem__(self, name: str) -> FloatArray:
+        """Return a number (S,) of every set, best first [SI], by the parameter's name or symbol."""
+        values: FloatArray = self.values[:, self.column(name)]
+        return values
+
+    def __iter__(self) -> Iterator[RankedSet]:
+        """Yield every set, best first."""
+        return (self.set_values(rank) for rank in range(1, len(self) + 1))
+
+    @property
+    def best(self) -> RankedSet:
+        """The best set, which a simulator takes."""
+        return self.set_values(1)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return one row per parameter: symbol, unit, status, its values by rank, mean and sigma [SI].
+
+        Where the fit was assessed, the 95 % interval and the verdict stand beside them.
+        """
+        import pandas as pd
+
+        judged = self.settings.get(INTERVALS, {})
+        rows = [
+            {key: getattr(record, key) for key in ("symbol", "unit", "status")}
+            | {f"set {rank}": value for rank, value in enumerate(column, start=1)}
+            | {"mean": mean, "sigma": sigma}
+            | (interval_columns(judged.get(record.name)) if judged else {})
+            for record, column, mean, sigma in zip(
+                self.parameters, self.values.T.tolist(), self.mean, self.sigma, strict=True
+            )
+        ]
+        return pd.DataFrame(rows, index=pd.Index(self.names, name="parameter"))
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return the warnings."""
+        return self.warnings
+
+    def set_values(self, rank: int = 1) -> RankedSet:
         """Return one set by parameter name [SI]; `rank` 1 is the best."""
         if not 1 <= rank <= len(self):
             raise ExportError(f"{self.name}: no set of rank {rank}; there are {len(self)}, the best is 1")
-        return dict(zip(self.names, self.values[rank - 1].tolist(), strict=True))
+        return RankedSet(self, rank)
 
     def known_values(self, rank: int, names: Collection[str] | None = None) -> dict[str, float]:
-        """Return one set [SI], or those of its values that are among `names`; refuse one with NaN."""
-        values = self.set_values(rank)
-        values = {name: value for name, value in values.items() if names is None or name in names}
-        missing = [name for name, value in values.items() if math.isnan(value)]
-        if missing:
-            raise ExportError(
-                f"{self.name}, set {rank}: {', '.join(missing)} unknown (NaN), so nothing can be simulated; "
-                "record what determines it, or state it in the campaign, and fit again"
-            )
-        return values
+        """Return `RankedSet.known` of one set."""
+        return self.set_values(rank).known(names)
 
     @property
     def mean(self) -> FloatArray:

@@ -81,10 +81,13 @@ class Parameter:
 
 
 class ParameterTable(dict[str, Parameter]):
-    """Ordered rows of a model, by name; not changed after it is made."""
+    """Ordered rows of a model, by name; not changed after it is made.
 
-    def __init__(self, rows: Iterable[Parameter]) -> None:
-        rows = tuple(rows)
+    `derived` names the numbers that follow from the rows and stand beside them in the sets of a fit.
+    """
+
+    def __init__(self, rows: Iterable[Parameter], derived: Iterable[str] = ()) -> None:
+        rows, self.derived = tuple(rows), frozenset(derived)
         super().__init__((row.name, row) for row in rows)
         if len(self) != len(rows):
             raise ValueError("two parameters share one name")
@@ -93,6 +96,17 @@ class ParameterTable(dict[str, Parameter]):
         near = difflib.get_close_matches(name, [*self, *(row.symbol for row in self.values())], 1)
         hint = f"; nearest is {near[0]!r}" if near else f"; known are {', '.join(self)}"
         raise CampaignError(f"no parameter {name!r}{hint}")
+
+    def filled(self, given: Mapping[str, float]) -> dict[str, float]:
+        """Return a number for every row [its unit]; a name left out takes the nominal.
+
+        Derived numbers and those of single trials, which a set has beside the rows, are left out. An unknown
+        name is a CampaignError.
+        """
+        for name in given:
+            if name not in self.derived:
+                self[name.partition("[")[0]]
+        return {name: float(given.get(name, row.nominal)) for name, row in self.items()}
 
     @property
     def nominal(self) -> dict[str, float]:

@@ -11,13 +11,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding
+from sysid.shown import Shown
 from sysid.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Names of the components of a position and of a quaternion.
+COMPONENTS = {3: "xyz", 4: "wxyz"}
 
 
 def _locked(values: object) -> FloatArray:
@@ -35,7 +42,7 @@ def _locked(values: object) -> FloatArray:
     return array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Channel:
     """One quantity over time.
 
@@ -62,6 +69,9 @@ class Channel:
             raise ValueError(f"channel {self.name}: {self.values.shape} samples on {self.time.shape} times")
         if self.time.size > 1 and not np.all(np.diff(self.time) > 0):
             raise ValueError(f"channel {self.name}: time does not increase")
+
+    def __repr__(self) -> str:
+        return f"<Channel {self.name} [{self.unit or '1'}]: {self.time.size} samples, {self.rate:.5g} Hz>"
 
     @property
     def valid(self) -> BoolArray:
@@ -112,8 +122,8 @@ class Provenance:
         return head | {"format": self.format, "device": self.device}
 
 
-@dataclass(frozen=True, eq=False)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Shown):
     """Channels of one file with their provenance.
 
     Rigid bodies are two channels, ``NAME/position`` (n, 3) [m] and ``NAME/orientation`` (n, 4) unit
@@ -127,6 +137,37 @@ class Recording:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+
+    def __repr__(self) -> str:
+        name = Path(self.provenance.path).name
+        ends = [c.time[[0, -1]] for c in self.channels.values() if c.time.size]
+        length = f"{np.ptp(ends):.4g} s" if ends else "no sample"
+        return f"<Recording {name} ({self.kind}): {', '.join(self.channels) or 'no channel'}; {length}>"
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the channels as columns such as ``speed [rad/s]`` over the time [s].
+
+        A vector has a column for each component. Where channels have clocks of their own, a row has NaN for
+        those that have no sample at its time.
+        """
+        import pandas as pd
+
+        tables: dict[bytes, dict[str, FloatArray]] = {}
+        index = {}
+        for channel in self.channels.values():
+            width = 1 if channel.values.ndim == 1 else channel.values.shape[1]
+            parts = [""] if width == 1 else [f" {c}" for c in COMPONENTS.get(width, range(1, width + 1))]
+            clock = channel.time.tobytes()
+            index[clock] = pd.Index(channel.time, name="time [s]")
+            for part, values in zip(parts, channel.values.reshape(-1, width).T, strict=True):
+                tables.setdefault(clock, {})[f"{channel.name}{part} [{channel.unit or '1'}]"] = values
+        frames = [pd.DataFrame(columns, index=index[clock]) for clock, columns in tables.items()]
+        joined = pd.concat(frames, axis=1).sort_index() if frames else pd.DataFrame()
+        return joined[[name for columns in tables.values() for name in columns]]
+
+    def remarks(self) -> tuple[Finding, ...]:
+        """Return what the loader noticed and did."""
+        return self.provenance.notes
 
     def _with(self, quantity: str) -> list[str]:
         return [name.removesuffix(quantity) for name in self.channels if name.endswith(quantity)]

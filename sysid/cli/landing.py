@@ -26,9 +26,9 @@ from sysid.workflows.options import (
 )
 def simulate(options: SimulateOptions) -> None:
     """Land once per set: history, events, outcome."""
-    from sysid.workflows.landing import simulate_landings
+    from sysid.workflows.landing import print_landings, simulate_landings
 
-    simulate_landings(options)
+    print_landings(*simulate_landings(options), options.json)
 
 
 @command(app, "landing-map", "sysid landing-map fits/demo/gear-lf --motor fits/demo/motor --out map.h5")

@@ -18,7 +18,7 @@ from sysid.parameters import SearchSpace, about, in_words, with_unit
 from sysid.types import BoolArray, FloatArray, Spectrum
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TrialResult:
     """One trial, measured and simulated with every set, inside its fit window.
 
@@ -54,7 +54,7 @@ class TrialResult:
     commands: FloatArray | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RankedSets:
     """The best individual of each run, best first, with the run (from 1) and its seed.
 
@@ -113,7 +113,7 @@ def bound_findings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.i
     return tuple(out)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class FitResult(SetsContent):
     """A finished or stopped fit.
 

@@ -326,9 +326,7 @@ def pack(values: Mapping[str, float], surface: str | Surface = "lf") -> FloatArr
 
     Raises CampaignError for an unknown name.
     """
-    for name in values:
-        PARAMETERS[name]
-    return np.array([float(values.get(name, row.nominal)) for name, row in parameters_on(surface).items()])
+    return np.array(list(parameters_on(surface).filled(values).values()))
 
 
 def simulate(

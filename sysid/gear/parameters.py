@@ -85,7 +85,8 @@ PARAMETERS = ParameterTable(
         _term("leg_joint_friction", "M_t", "N·m", 0.5, "Dry friction in the joints of a pair of legs."),
         _term("ground_rate_stiffening", "χ_s", "s/m", 3.0, "Rise of the contact force per approach."),
         _term("pitch_drag", "c_q", "N·m·s²", 0.02, "Moment against the body's turning, c_q |q'| q'."),
-    ]
+    ],
+    derived=("leg_length", "leg_rest_angle"),
 )
 # fmt: on
 
@@ -99,4 +100,4 @@ def parameters_on(surface: str | Surface) -> ParameterTable:
             row = replace(row, nominal=law.nominal[name], source=f"{law.source}; bounds guessed")
         lower, upper = law.bounds.get(name, (row.lower, row.upper))
         rows.append(replace(row, lower=lower, upper=upper))
-    return ParameterTable(rows)
+    return ParameterTable(rows, PARAMETERS.derived)

@@ -14,7 +14,7 @@ from sysid.errors import ExportError
 from sysid.gear import model as gear_model
 from sysid.gear.surfaces import find_surface
 from sysid.motor import model as motor_model
-from sysid.parameter_sets import ParameterSets
+from sysid.parameter_sets import ParameterSets, RankedSet
 
 Pairing = Literal["each", "best"]
 PAIRINGS: tuple[Pairing, ...] = ("each", "best")
@@ -75,27 +75,33 @@ class Drone:
 def drones(gear: ParameterSets, motor: ParameterSets, pairing: Pairing = "best") -> tuple[Drone, ...]:
     """Pair the sets of a gear with sets of a motor, one drone per gear set, best first.
 
-    Every gear set goes with the motor's best set, or set i with set i ("each"). The motor's ``command_delay``
-    belongs to the log's instruments and is left out.
+    Every gear set goes with the motor's best set, or set i with set i ("each").
 
-    Raises `ExportError` when the kinds are wrong, a number is unknown, or there are too few motor sets.
+    Raises `ExportError` as `drone` does, or when there are too few motor sets.
     """
-    for sets, kind in ((gear, "gear"), (motor, "motor")):
-        if sets.kind != kind:
-            raise ExportError(
-                f"{sets.name}: has {sets.kind} sets, expected {kind} sets; give the gear's sets first and "
-                "the motor's with --motor"
-            )
     if pairing == "each" and len(motor) < len(gear):
         raise ExportError(
             f"{motor.name}: {len(motor)} motor sets for {len(gear)} gear sets; pair every gear set with the "
             "motor's best set (--pair best)"
         )
-    surface = find_surface(str(gear.settings.get("surface", "lf"))).name
-    out = []
-    for rank in range(1, len(gear) + 1):
-        legs = gear.known_values(rank, gear_model.PARAMETERS)
-        rotor = motor.known_values(rank if pairing == "each" else 1, motor_model.PARAMETERS)
-        rotor.pop("command_delay", None)
-        out.append(Drone(legs, rotor, surface, f"{gear.name} set {rank}"))
-    return tuple(out)
+    rotors = [rank if pairing == "each" else 1 for rank in range(1, len(gear) + 1)]
+    return tuple(drone(one, motor.set_values(rank)) for one, rank in zip(gear, rotors, strict=True))
+
+
+def drone(gear: RankedSet, motor: RankedSet | None = None) -> Drone:
+    """Return the drone of a gear's set and a motor's; without a motor it can only be dropped.
+
+    The motor's ``command_delay`` belongs to the log's instruments and is left out. Raises `ExportError` when
+    a kind is wrong or a number is unknown.
+    """
+    for values, kind in ((gear, "gear"), (motor, "motor")):
+        if values is not None and values.sets.kind != kind:
+            raise ExportError(
+                f"{values.sets.name}: has {values.sets.kind} sets, expected {kind} sets; give the gear's "
+                "sets first and the motor's with --motor"
+            )
+    rotor = {} if motor is None else motor.known(motor_model.PARAMETERS)
+    rotor.pop("command_delay", None)
+    surface = find_surface(str(gear.sets.settings.get("surface", "lf"))).name
+    name = f"{gear.sets.name} set {gear.rank}"
+    return Drone(gear.known(gear_model.PARAMETERS), rotor, surface, name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,26 @@ from sysid.landing.drone import Drone
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.landing.scenario import Scenario, down_slope
 from sysid.landing.thrust import Motors
+from sysid.shown import Shown
 from sysid.types import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Bound of the weighted rms error per step. Landings bounce and are chaotic near the borders between classes:
 # `sysid.landing.maps` repeats a map with half of it and marks the cells that change.
 LANDING_TOLERANCE = 1e-4
 # Of one landing's history; 40 columns of them are 300 MB.
 MOST_SAMPLES = 1_000_000
+HISTORY = (
+    "time [s]",
+    "x_B [m]", "z_B [m]", "q_B [rad]", "h_C [m]", "q_C [rad]", "h_D [m]", "q_D [rad]",
+    "x_B_rate [m/s]", "z_B_rate [m/s]", "q_B_rate [rad/s]", "h_C_rate [m/s]", "q_C_rate [rad/s]",
+    "h_D_rate [m/s]", "q_D_rate [rad/s]",
+    "rear_normal_force [N]", "front_normal_force [N]", "rear_friction [N]", "front_friction [N]",
+    "rear_thrust [N]", "front_thrust [N]",
+)  # fmt: skip
+EVENT = ("time", "event", "of")
 # An accelerometer averages over its sample.
 _GRAVITY = np.array([0.0, 1.0])
 _FAILED = (Status.STEP_COLLAPSED, Status.TOO_EXPENSIVE, Status.BLEW_UP)
@@ -61,19 +75,60 @@ class Landings:
     trigger: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Landing:
-    """One landing with its history from touchdown to the horizon; numbers as in `Landings`."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Landing(Shown):
+    """One landing with its history from touchdown to the horizon; numbers as in `Landings`.
+
+    Without a controller the motors stand still: a drop.
+    """
 
     drone: Drone
     scenario: Scenario
-    controller: Controller
+    controller: Controller | None
     rules: Rules
     trajectory: GearTrajectory
     outcome: Outcome
     distance: float
     time: float
     trigger: float
+
+    @property
+    def label(self) -> str:
+        """What the motors do."""
+        return "no thrust" if self.controller is None else self.controller.label
+
+    def __repr__(self) -> str:
+        place = (
+            f"{math.degrees(self.scenario.slope):g} deg, {self.scenario.speed:g} m/s, {self.drone.surface}"
+        )
+        came = f" after {self.time:.3f} s" if math.isfinite(self.time) else ""
+        return f"<Landing ({self.label}; {place}): {self.outcome.name.lower()}{came}, {self.distance:.3f} m>"
+
+    @property
+    def samples(self) -> FloatArray:
+        """(n, 21) the history in the units of `HISTORY`."""
+        t = self.trajectory
+        return np.column_stack([t.time, t.state, t.normal_force, t.friction_force, t.thrust])
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return states and forces as columns such as ``x_B [m]`` over the time since touchdown [s]."""
+        import pandas as pd
+
+        return pd.DataFrame(self.samples, columns=HISTORY).set_index(HISTORY[0])
+
+    @property
+    def event_rows(self) -> list[dict[str, Any]]:
+        """Time [s], kind and place of every event, in the order of time."""
+        events = [(self.trigger, "trigger", "body")] if math.isfinite(self.trigger) else []
+        events += [(event.time, event.kind.name.lower(), event.foot) for event in self.trajectory.events]
+        return [dict(zip(EVENT, event, strict=True)) for event in sorted(events)]
+
+    @property
+    def events(self) -> pd.DataFrame:
+        """Touchdowns, lift-offs, slips, sticks, flip, rest and trigger over the time since touchdown [s]."""
+        import pandas as pd
+
+        return pd.DataFrame(self.event_rows, columns=EVENT).rename(columns={"time": HISTORY[0]})
 
 
 def land_many(
@@ -155,22 +210,27 @@ def second_impacts(
 def land(
     drone: Drone,
     scenario: Scenario,
-    controller: Controller,
+    controller: Controller | None,
     *,
     rules: Rules | None = None,
     rate: float = 1000.0,
     motors: Motors | None = None,
 ) -> Landing:
-    """Simulate one landing to the horizon and keep its history, sampled at `rate` [Hz]; see `land_many`."""
+    """Simulate one landing to the horizon and keep its history, sampled at `rate` [Hz]; see `land_many`.
+
+    Without a controller there is no thrust.
+    """
     rules = rules or Rules()
     if not 0.0 < rules.horizon * rate <= MOST_SAMPLES:
         raise CampaignError(
             f"landing: a history of {rules.horizon:g} s at {rate:g} samples per second; expected a rate "
             f"above 0 and at most {MOST_SAMPLES:g} samples, so lower the rate"
         )
-    source = motors or Motors(drone, controller.ideal_reversal)
-    triggers = _triggers(drone, [scenario], controller, source, rules, LANDING_TOLERANCE, 1)
-    (thrust,) = _propulsions(source, controller, triggers, rules)
+    thrust, trigger = None, math.nan
+    if controller is not None:
+        source = motors or Motors(drone, controller.ideal_reversal)
+        triggers = _triggers(drone, [scenario], controller, source, rules, LANDING_TOLERANCE, 1)
+        (thrust,), trigger = _propulsions(source, controller, triggers, rules), float(triggers[0])
     clock = np.arange(round(rules.horizon * rate) + 1) / rate
     trajectory = simulate(
         drone.row, scenario.slope, scenario.start(drone), clock,
@@ -188,7 +248,7 @@ def land(
     lost = np.array(trajectory.status in _FAILED)
     code = rules.classes(np.array(distance), np.array(rest), np.array(flip), lost)
     return Landing(
-        drone, scenario, controller, rules, trajectory, Outcome(int(code)), distance, rest, float(triggers[0])
+        drone, scenario, controller, rules, trajectory, Outcome(int(code)), distance, rest, trigger
     )
 
 

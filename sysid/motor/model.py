@@ -71,9 +71,7 @@ def complete(parameters: Mapping[str, float]) -> dict[str, float]:
 
     CampaignError when a name is not in the table.
     """
-    for name in parameters:
-        PARAMETERS[name]
-    return {name: float(parameters.get(name, row.nominal)) for name, row in PARAMETERS.items()}
+    return PARAMETERS.filled(parameters)
 
 
 def pack(parameters: Mapping[str, float]) -> FloatArray:

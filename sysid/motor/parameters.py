@@ -110,7 +110,8 @@ PARAMETERS = ParameterTable(
         *_curve_rows("thrust", "T", "N", 1.2e-5, 0.62e-5, 1e-9, 1e-3),
         *_curve_rows("torque", "τ", "N·m", 1.65e-7, 1.7e-7, 1e-11, 1e-5),
         *instrument_rows(),
-    ]
+    ],
+    derived=("k2_over_R", "R_over_L", "k_I_sat", "electromechanical_time_constant"),
 )  # fmt: skip
 
 FREE_DEFAULT = ("winding_resistance", "winding_inductance", "viscous_damping")

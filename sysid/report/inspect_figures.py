@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from sysid.recording import BoolArray, Channel, FloatArray, Recording
+from sysid.recording import COMPONENTS, BoolArray, Channel, FloatArray, Recording
 from sysid.report.drawing import BEST, MEASURED, RUNS, cut_to, paper
 from sysid.trials.look import LogReport
 
@@ -48,7 +48,7 @@ def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> N
     columns = channel.values[::step].reshape(time.size, -1)
     if change:  # a fall of centimetres is not seen in coordinates of metres
         columns = columns - columns[int(np.argmax(np.isfinite(columns).all(axis=1)))]
-    labels = {3: "xyz", 4: "wxyz"}.get(columns.shape[1], "")
+    labels = COMPONENTS.get(columns.shape[1], "")
     style = {"marker": "o", "linestyle": "none"} if points else {"linewidth": 0.9}
     for i in range(columns.shape[1]):
         colour = MEASURED if columns.shape[1] == 1 else RUNS[i]

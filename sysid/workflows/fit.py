@@ -159,7 +159,8 @@ def fit_campaign(
             assess_fit(written, TrustOptions(resamples=0, threads=options.threads, dask=options.dask), say)
         except SysidError as error:
             # The fit is whole without: a campaign that was moved meanwhile must not look like a failure.
-            (say or print)(f"warning: no intervals ({error}); run sysid trust {written}")
+            sentence = f"no intervals ({error}); run sysid trust {written}"
+            say(f"warning: {sentence}") if say else notice("no-intervals", sentence)
         result = with_intervals(result, written)
     return result, written
 

@@ -5,71 +5,75 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import count
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from sysid.documents import label
 from sysid.errors import ExportError
 from sysid.export.spreadsheet import csv_text
 from sysid.landing.approach import fly_down
+from sysid.landing.controllers import Controller
+from sysid.landing.drone import Drone
 from sysid.landing.scenario import Scenario
-from sysid.landing.simulate import Landing, land
+from sysid.landing.simulate import EVENT, HISTORY, Landing, land
 from sysid.landing.thrust import Motors
 from sysid.report.fold import print_result, print_table
 from sysid.report.table import Table, TableColumn, table
 from sysid.storage import FileKind, check_file, put, put_json, put_texts, write_file
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
-from sysid.workflows.options import SimulateOptions
+from sysid.workflows.options import SimulateOptions, TouchdownOptions
 
-EVENT = ("time", "event", "of")
 LANDINGS = FileKind("sysid-landings", 1, "a file of landings", "simulate again", ExportError)
-COLUMNS = (
-    "time [s]",
-    "x_B [m]", "z_B [m]", "q_B [rad]", "h_C [m]", "q_C [rad]", "h_D [m]", "q_D [rad]",
-    "x_B_rate [m/s]", "z_B_rate [m/s]", "q_B_rate [rad/s]", "h_C_rate [m/s]", "q_C_rate [rad/s]",
-    "h_D_rate [m/s]", "q_D_rate [rad/s]",
-    "rear_normal_force [N]", "front_normal_force [N]", "rear_friction [N]", "front_friction [N]",
-    "rear_thrust [N]", "front_thrust [N]",
-)  # fmt: skip
 
 
-def simulate_landings(options: SimulateOptions) -> list[Landing]:
-    """Simulate one landing per set, write and print them.
+def simulate_landings(options: SimulateOptions) -> tuple[list[Landing], list[Path]]:
+    """Simulate one landing per set and write them; return the landings and the files.
 
     With a height the drone descends first, with the attitude controller on.
 
     Raises `SysidError` when the sets, the controller or the place to write cannot be used.
     """
+    files = _files(options.out, options.force)
+    controller = controller_of(options, options.motors.ideal_reversal)
+    (fleet,), origin = open_fleets(options.motors, [options.sets])
+    landings = [land_drone(drone, options, controller) for drone in fleet]
+    if files:
+        _write(files, landings, list(map(outcome_row, count(1), landings)), origin)
+    return landings, files
+
+
+def controller_of(options: TouchdownOptions, ideal_reversal: bool = False) -> Controller:
+    """Return the controller of one landing."""
+    (controller,) = chosen_controllers(
+        [options.controller], options.rules.horizon, file=options.controller_file,
+        ideal_reversal=ideal_reversal, trigger=options.trigger,
+    )  # fmt: skip
+    return controller
+
+
+def land_drone(drone: Drone, options: TouchdownOptions, controller: Controller | None) -> Landing:
+    """Simulate one landing, or without a controller a drop; see `simulate_landings`."""
     scenario = Scenario(
         options.slope, options.speed, options.pitch, options.pitch_rate, options.horizontal_speed
     )
-    rules, ideal = rules_of(options.rules), options.motors.ideal_reversal
-    files = _files(options.out, options.force)
-    (fleet,), origin = open_fleets(options.motors, [options.sets])
-    (controller,) = chosen_controllers(
-        [options.controller], rules.horizon, file=options.controller_file, ideal_reversal=ideal,
-        trigger=options.trigger,
-    )  # fmt: skip
-    landings = []
-    for drone in fleet:
-        begin, motors = scenario, None
-        if options.height is not None:
-            way = fly_down(drone, scenario, options.height)
-            begin, motors = way.touchdown, Motors(drone, controller.ideal_reversal, way.motors)
-        landings.append(land(drone, begin, controller, rules=rules, rate=options.rate, motors=motors))
-    rows = [outcome_row(rank, landing) for rank, landing in enumerate(landings, start=1)]
-    if files:
-        _write(files, landings, rows, origin)
-    document = [row | {"events": event_rows(landing)} for row, landing in zip(rows, landings, strict=True)]
-    if not print_result(document, options.json):
+    motors = None
+    if options.height is not None and controller is not None:
+        way = fly_down(drone, scenario, options.height)
+        scenario, motors = way.touchdown, Motors(drone, controller.ideal_reversal, way.motors)
+    rules = rules_of(options.rules)
+    return land(drone, scenario, controller, rules=rules, rate=options.rate, motors=motors)
+
+
+def print_landings(landings: Sequence[Landing], files: Sequence[Path], json: bool) -> None:
+    """Print the outcome of landings and the files written."""
+    rows = list(map(outcome_row, count(1), landings))
+    document = [row | {"events": landing.event_rows} for row, landing in zip(rows, landings, strict=True)]
+    if not print_result(document, json):
         print_table(_table(rows, landings[0]))
         for path in files:
             print(f"wrote {path}")
-    return landings
 
 
 def _files(out: Path | None, force: bool) -> list[Path]:
@@ -85,19 +89,6 @@ def _files(out: Path | None, force: bool) -> list[Path]:
     for path in files:
         check_file(path, force=force, error_type=ExportError)
     return files
-
-
-def samples(landing: Landing) -> NDArray[np.float64]:
-    """Return the history (n, k) in the units of `COLUMNS`."""
-    t = landing.trajectory
-    return np.column_stack([t.time, t.state, t.normal_force, t.friction_force, t.thrust])
-
-
-def event_rows(landing: Landing) -> list[dict[str, Any]]:
-    """Return the events of a landing in the order of time."""
-    events = [(landing.trigger, "trigger", "body")] if math.isfinite(landing.trigger) else []
-    events += [(event.time, event.kind.name.lower(), event.foot) for event in landing.trajectory.events]
-    return [dict(zip(EVENT, event, strict=True)) for event in sorted(events)]
 
 
 def outcome_row(rank: int, landing: Landing) -> dict[str, Any]:
@@ -120,7 +111,7 @@ def conditions(landing: Landing) -> dict[str, Any]:
     """Return under what a landing happened: surface, controller, touchdown and rules."""
     scenario, rules = landing.scenario, landing.rules
     return {
-        "surface": landing.drone.surface, "controller": landing.controller.label,
+        "surface": landing.drone.surface, "controller": landing.label,
         "slope [deg]": math.degrees(scenario.slope), "touchdown speed [m/s]": scenario.speed,
         "pitch [deg]": math.degrees(scenario.pitch), "pitch rate [rad/s]": scenario.pitch_rate,
         "horizontal speed [m/s]": scenario.horizontal_speed,
@@ -141,9 +132,9 @@ def _write(
         return
     events, histories = [], []
     for rank, landing in enumerate(landings, start=1):
-        events += [headed({"set": rank} | row) for row in event_rows(landing)]
+        events += [headed({"set": rank} | row) for row in landing.event_rows]
         histories += [
-            dict(zip(("set", *COLUMNS), (rank, *line), strict=True)) for line in samples(landing).tolist()
+            dict(zip(("set", *HISTORY), (rank, *line), strict=True)) for line in landing.samples.tolist()
         ]
     outcomes = [headed(row) | conditions(landing) for row, landing in zip(rows, landings, strict=True)]
     texts = (csv_text(histories), csv_text(events, ("set", *map(label, EVENT))), csv_text(outcomes))
@@ -157,7 +148,7 @@ def _hdf5(
     first = landings[0]
     settings = {
         "scenario": [asdict(landing.scenario) for landing in landings],
-        "controller": asdict(first.controller),
+        "controller": asdict(first.controller) if first.controller else None,
         "rules": asdict(first.rules),
     }
     put_json(file, "settings_json", settings)
@@ -165,10 +156,10 @@ def _hdf5(
     for row, landing in zip(rows, landings, strict=True):
         group = file.create_group(f"sets/{row['set']}")
         group.attrs.update(headed(row))
-        for name, values in zip(COLUMNS, samples(landing).T, strict=True):
+        for name, values in zip(HISTORY, landing.samples.T, strict=True):
             quantity, _, unit = name.partition(" [")
             put(group, quantity, values, "sample", unit.rstrip("]"))
-        events = event_rows(landing)
+        events = landing.event_rows
         put(group, "events/time", [event["time"] for event in events], "event", "s")
         for key in ("event", "of"):
             put_texts(group, f"events/{key}", [event[key] for event in events])
@@ -176,7 +167,7 @@ def _hdf5(
 
 def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:
     title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
-    title += f"{first.scenario.speed:g} m/s: {first.controller.label}"
+    title += f"{first.scenario.speed:g} m/s: {first.label}"
     cells = [[f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
     columns = [
         TableColumn(label(name), itemgetter(k), number=name != "outcome") for k, name in enumerate(rows[0])

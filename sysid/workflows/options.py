@@ -7,18 +7,22 @@ builds the commands from this, so the module imports nothing heavy.
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial
 from itertools import pairwise
+from numbers import Integral, Real
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from sysid.errors import CampaignError, ExportError, LogError, SysidError, UnitError
 from sysid.units import parse_quantity
 
+Options = TypeVar("Options")
 # More values than any grid on the command line needs; a slip of the pen asks for billions.
 _MOST_VALUES = 100_000
 
@@ -129,6 +133,72 @@ def span(text: str, name: str, unit: str = "1") -> tuple[float, ...]:
     if not values or not rising or not all(math.isfinite(value) for value in values):
         raise CampaignError(f"{name} {text!r}: expected first:last:step or increasing numbers, as in 0:45:1")
     return tuple(round(value, 9) for value in values)
+
+
+def python_options(cls: type[Options], given: Mapping[str, Any], **fixed: Any) -> Options:
+    """Return the options `cls` of a call from Python: names are checked and texts read as on a command line.
+
+    Fields that are option classes themselves take theirs by the same names. `fixed` are fields that the
+    caller may not state. Raises `CampaignError` for an unknown name or a value of another kind.
+    """
+    left = dict(given)
+    options: Options = _taken(cls, left, fixed)
+    for name in left:
+        known = sorted(_option_names(cls) - fixed.keys())
+        near = difflib.get_close_matches(name, known, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+        raise CampaignError(f"no option {name!r}; {hint}")
+    return options
+
+
+def _option_names(cls: Any) -> set[str]:
+    hints = get_type_hints(cls)
+    parts = [(f.name, hints[f.name]) for f in fields(cls)]
+    return {n for name, hint in parts for n in (_option_names(hint) if is_dataclass(hint) else {name})}
+
+
+def _taken(cls: Any, given: dict[str, Any], fixed: Mapping[str, Any]) -> Any:
+    """Return the options of a class; what they take of `given` is taken out of it."""
+    values, hints = dict(fixed), get_type_hints(cls, include_extras=True)
+    for part in fields(cls):
+        hint = hints[part.name]
+        if part.name in values:
+            continue
+        if is_dataclass(hint):
+            values[part.name] = _taken(hint, given, {})
+        elif part.name in given:
+            values[part.name] = _read(part.name, given.pop(part.name), hint)
+    return cls(**values)
+
+
+def _read(name: str, value: Any, hint: Any) -> Any:
+    """Return the value of an option as Python states it: a text where the command line takes one."""
+    plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+    mark = next((m for m in get_args(hint)[1:] if isinstance(m, Flag)), Flag(""))
+    kinds = get_args(plain) if get_origin(plain) in (UnionType, Union) else (plain,)
+    choices = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
+    if value is None and NoneType in kinds:
+        return None
+    if isinstance(value, str) and (mark.read or mark.unit):
+        return mark.read(value, name) if mark.read else mark.quantity(value, name)
+    if choices:
+        fits, expected = value in choices, f"one of {', '.join(map(repr, choices))}"
+    elif Path in kinds:
+        value = Path(value) if isinstance(value, str) else value
+        fits, expected = isinstance(value, Path), "a path"
+    elif bool in kinds:
+        fits, expected = isinstance(value, bool), "True or False"
+    elif int in kinds or float in kinds:
+        least = -math.inf if mark.least is None else mark.least * _SI.get(mark.unit, 1.0)
+        fits = isinstance(value, Integral if int in kinds else Real) and not isinstance(value, bool)
+        fits = fits and math.isfinite(value) and value >= least
+        expected = "a whole number" if int in kinds else f"a number in SI, or a text such as '1 {mark.unit}'"
+        expected += "" if mark.least is None else f", at least {mark.least:g} {mark.unit}".rstrip()
+    else:
+        fits, expected = isinstance(value, str), "a text"
+    if not fits:
+        raise CampaignError(f"{name} = {value!r}: expected {expected}")
+    return value
 
 
 def _is_number(text: str) -> bool:
@@ -407,12 +477,10 @@ Drift = Annotated[float, Flag("Horizontal speed at touchdown, positive down-slop
 ResultFile = Annotated[Path, Flag("Write the result to this HDF5 file.", panel=_OUTPUT)]
 
 
-@dataclass(frozen=True)
-class SimulateOptions:
-    """``sysid simulate``."""
+@dataclass(frozen=True, kw_only=True)
+class TouchdownOptions:
+    """How one landing begins and goes on."""
 
-    sets: GearSets
-    motors: MotorOptions
     slope: Annotated[float, Flag("Slope of the surface.", unit="deg")]
     speed: Annotated[float, Flag("Vertical touchdown speed.", unit="m/s", least=0)]
     controller: OneController = "reverse"
@@ -425,10 +493,18 @@ class SimulateOptions:
         float | None, Flag("First descend from this height with attitude control.", unit="m")
     ] = None
     rate: Annotated[float, Flag("Write this many samples per second.", unit="Hz", least=10)] = 1000.0
+    rules: RulesOptions = field(default_factory=RulesOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateOptions(TouchdownOptions):
+    """``sysid simulate``."""
+
+    sets: GearSets
+    motors: MotorOptions
     out: Annotated[Path | None, Flag("Write the histories to this .csv or .h5 file.", panel=_OUTPUT)] = None
     force: Force = False
     json: Json = False
-    rules: RulesOptions = field(default_factory=RulesOptions)
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
         return
     _print_tables(sets)
     state = "" if result.state == "done" else " (stopped early: the sets are the best until then)"
-    print(f"verdict: {_verdict(result)}")
+    print(f"verdict: {verdict_on(result)}")
     print(f"fit written to {folder}{state}; next:")
     for command, what in (
         (f"report {folder}", "one page with every trial, to open in a browser"),
@@ -71,7 +71,7 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
         print(f"  sysid {command:<40}  {what}")
 
 
-def _verdict(result: FitResult) -> str:
+def verdict_on(result: FitResult) -> str:
     """Return whether noise explains the fit, and what the data leave open, in one sentence."""
     found, judged = result.provenance.get("findings", ()), result.provenance["adequacy"]
     lost = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}

@@ -12,20 +12,24 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import TypeAdapter
 
 from sysid.journal import Finding
 from sysid.recording import Recording
+from sysid.shown import Shown
 from sysid.trials.capture import signed_axis
 from sysid.trials.look.advice import length_advice
 from sysid.trials.look.bench import BenchReport, inspect_bench
 from sysid.trials.look.channels import ChannelReport, inspect_channel
 from sysid.trials.look.drop import STANDARD_GRAVITY, DropReport, hanging_turn, inspect_drop
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # A capture volume is no larger [m].
 _FARTHEST = 100.0
@@ -37,8 +41,8 @@ _TILTED = np.radians(10.0)
 _IN_WORDS = {"inch": "inches", "foot": "feet", "m": "metres, read as mm"}
 
 
-@dataclass(frozen=True)
-class LogReport:
+@dataclass(frozen=True, repr=False)
+class LogReport(Shown):
     """What is known about one log.
 
     Its duration is the time from the first to the last sample of any channel [s], NaN for a static map; its
@@ -57,6 +61,22 @@ class LogReport:
     bench: BenchReport | None
     suspicions: tuple[Finding, ...]
     notes: tuple[Finding, ...]
+
+    def __repr__(self) -> str:
+        lasts = "" if math.isnan(self.duration) else f", {self.duration:.4g} s"
+        doubts = f"{len(self.suspicions) or 'no'} suspicion{'' if len(self.suspicions) == 1 else 's'}"
+        head = f"<LogReport {Path(self.path).name} ({self.kind}, {self.format})"
+        return f"{head}: {len(self.channels)} channels{lasts}, {doubts}>"
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return what is known about each channel, one row each."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(channel) for channel in self.channels]).set_index("name")
+
+    def remarks(self) -> tuple[Finding, ...]:
+        """Return suspicions and notes."""
+        return tuple(dict.fromkeys((*self.suspicions, *self.notes)))
 
     def as_json(self) -> dict[str, Any]:
         """Return the report as plain values for JSON; a number that is unknown is None."""

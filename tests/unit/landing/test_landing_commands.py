@@ -13,10 +13,10 @@ from fakes.landings import read_maps
 from fakes.places import PUBLISHED
 from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome
+from sysid.landing.simulate import HISTORY
 from sysid.resume import BlockStore
 from sysid.storage import datasets
 from sysid.workflows import landing_sources
-from sysid.workflows.landing import COLUMNS
 from sysid.workflows.landing_sources import BlockProgress
 
 LF, HF, MOTOR = (PUBLISHED / f"published-{name}.json" for name in ("gear-lf", "gear-hf", "motor"))
@@ -43,7 +43,7 @@ def test_one_landing_per_set_as_csv_and_hdf5(done, tmp_path):
     out, _ = done(*command, "--controller", "off", "--out", "x.csv")
     assert "short" in out
     rows = rows_of("x.csv")
-    assert tuple(rows[0]) == ("set", *COLUMNS)
+    assert tuple(rows[0]) == ("set", *HISTORY)
     assert len(rows) == 3001
     assert float(rows[0]["z_B_rate [m/s]"]) == pytest.approx(-0.5)  # turned into the slope and back
     (outcome,) = rows_of("x-outcomes.csv")

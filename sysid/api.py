@@ -1,0 +1,423 @@
+"""What ``import sysid`` offers: logs, campaigns, fits, sets and landings, by the verbs of the command line.
+
+Nothing here prints. An input that cannot be used is a `sysid.SysidError` of one sentence.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Self
+
+from sysid.campaign import read_campaign
+from sysid.errors import ExportError, FitError
+from sysid.export import load_parameter_sets as load_parameter_sets
+from sysid.fit.problem import Kind as Kind
+from sysid.fit.result import FitResult, TrialResult
+from sysid.fit.store import fit_folder, read_fit
+from sysid.landing.drone import drone
+from sysid.landing.simulate import Landing
+from sysid.loaders import load
+from sysid.parameter_sets import INTERVALS, ParameterSets, RankedSet, interval_columns
+from sysid.recording import Recording
+from sysid.report.inspect_figures import figure_logs
+from sysid.shown import Shown
+from sysid.trials.look import LogReport, inspect_recording
+from sysid.trust.documents import with_intervals
+from sysid.workflows import fit as fits
+from sysid.workflows.check import check_campaign
+from sysid.workflows.kinds import register as register
+from sysid.workflows.landing import controller_of, land_drone
+from sysid.workflows.options import (
+    FitOptions,
+    ReportOptions,
+    TouchdownOptions,
+    TrustOptions,
+    campaign_file,
+    python_options,
+)
+from sysid.workflows.report import write_report
+from sysid.workflows.show import verdict_on
+from sysid.workflows.trust import assess_fit
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+class Log(Recording):
+    """A recording as `load_log` returns it, with a picture."""
+
+    def plot(self) -> Figure:
+        """Return a figure of the main channels over time."""
+        return figure_logs([self], [inspect_recording(self)])
+
+
+def load_log(path: str | Path, *, format: str = "auto", **options: Any) -> Log:
+    """Read one log of any format: channels in SI, each on its own clock [s].
+
+    Parameters
+    ----------
+    format : str
+        Name of the format; ``"auto"`` judges by content.
+    **options
+        What the log does not state, such as ``rate="10 kHz"``; ``sysid formats`` lists them.
+
+    Raises
+    ------
+    LogError
+        One sentence with file, line and cause.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> log = sysid.load_log("data_samples/motor/forward-1.csv")
+    >>> log
+    >>> log["speed"]
+    >>> log.to_frame().columns.tolist()
+    """
+    return Log(**vars(load(path, format=format, **options)))
+
+
+def inspect(path: str | Path, *, format: str = "auto", **options: Any) -> LogReport:
+    """Say what a log contains and what looks wrong in it; arguments and errors as for `load_log`.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> report = sysid.inspect("data_samples/gear-lf/drop-1-5deg-0.50mps.csv")
+    >>> report
+    >>> round(report.drop.touchdown, 2)
+    """
+    return inspect_recording(load(path, format=format, **options))
+
+
+class Judgement(Shown):
+    """What `check` and `trust` say: a row per parameter, sentences, warnings, and the whole `document`."""
+
+    def __init__(self, document: Mapping[str, Any]) -> None:
+        self.document = document
+
+    def __repr__(self) -> str:
+        verdicts = Counter(row["verdict"].replace("_", " ") for row in self.document["parameters"])
+        counts = ", ".join(f"{count} {word}" for word, count in verdicts.items())
+        return f"<Judgement of {verdicts.total()} parameters: {counts}; warnings: {len(self.warnings)}>"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What may be wrong, a sentence each."""
+        return tuple(self.document["warnings"])
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What a check advises, or how far noise explains a fit."""
+        judged = self.document.get("adequacy")
+        return tuple(self.document.get("sentences", [judged["sentence"]] if judged else ()))
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The same as `to_frame`."""
+        return self.to_frame()
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return symbol, unit, value, and the 95 % interval or relative half-width, and verdict [SI]."""
+        import pandas as pd
+
+        rows = [
+            {key: row[key] for key in ("symbol", "unit", "value")}
+            | ({"half_width": row["half_width"], "verdict": row["verdict"]}
+               if "interval_95" not in row else interval_columns(row))
+            for row in self.document["parameters"]
+        ]  # fmt: skip
+        names = [row["name"] for row in self.document["parameters"]]
+        return pd.DataFrame(rows, index=pd.Index(names, name="parameter"))
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return sentences, then warnings."""
+        return (*self.sentences, *self.warnings)
+
+
+class Campaign:
+    """A campaign file: what was measured and which logs are fitted; made by `read`.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> campaign = sysid.Campaign.read("data_samples/motor")
+    >>> campaign
+    >>> campaign.trials[:2]
+    """
+
+    def __init__(self, path: Path, content: Any) -> None:
+        self.path, self.content = path, content
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a campaign file, or the one in a folder; CampaignError when it cannot be used."""
+        path = campaign_file(Path(path))
+        return cls(path, read_campaign(path))
+
+    def __repr__(self) -> str:
+        return f"<Campaign {self.name} ({self.kind}): {len(self.trials)} trials in {self.path.as_posix()}>"
+
+    @property
+    def name(self) -> str:
+        """As the file states it."""
+        return str(self.content.name)
+
+    @property
+    def kind(self) -> str:
+        """``gear``, ``motor`` or a kind of yours."""
+        return str(self.content.kind)
+
+    @property
+    def trials(self) -> tuple[str, ...]:
+        """Names of the trials."""
+        return tuple(trial.name for trial in self.content.trials)
+
+    def check(self, *, surface: str | None = None, threads: int | None = None) -> Judgement:
+        """Say before a fit what the trials will determine, and what to record next.
+
+        `surface` overrides a gear campaign's friction law. The file is read again. Raises SysidError when
+        an input cannot be used.
+        """
+        return Judgement(check_campaign(self.path, surface=surface, threads=threads))
+
+
+class FitTrial(Shown):
+    """One trial of a fit, measured and predicted."""
+
+    def __init__(self, fit: FitResult, trial: TrialResult) -> None:
+        self._fit, self._trial = fit, trial
+
+    def __repr__(self) -> str:
+        use = "fitted" if self._trial.use == "fit" else "held back"
+        return f"<FitTrial {self._trial.name} of {self._fit.name}: {len(self._trial.time)} samples, {use}>"
+
+    def to_frame(self, rank: int = 1) -> pd.DataFrame:
+        """Return every channel as it was measured and as the set of a rank predicts it, over the time [s].
+
+        Columns are pairs such as ``("speed [rad/s]", "predicted")``. A measured sample that the fit does not
+        compare is NaN.
+        """
+        import numpy as np
+        import pandas as pd
+
+        fit, trial = self._fit, self._trial
+        fit.parameter_sets().set_values(rank)  # refuses a rank that is not there
+        measured = np.where(trial.valid, trial.measured, np.nan)
+        columns = {
+            (f"{name} [{unit}]", what): values[:, c]
+            for c, (name, unit) in enumerate(zip(fit.channels, fit.channel_units, strict=True))
+            for what, values in (("measured", measured), ("predicted", trial.simulated[rank - 1]))
+        }
+        return pd.DataFrame(columns, index=pd.Index(trial.time, name="time [s]"))
+
+
+class Fit(Shown):
+    """A fit: its sets, trials, trust and report.
+
+    `result` has all arrays of the search, `folder` is where it lies, or None where none was kept.
+    """
+
+    def __init__(self, result: FitResult, folder: Path, kept: TemporaryDirectory[str] | None = None) -> None:
+        # A temporary folder lives as long as this object.
+        self.result, self._folder, self._kept = result, folder, kept
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder of the fit."""
+        return None if self._kept else self._folder
+
+    def __repr__(self) -> str:
+        result = self.result
+        best = f"{len(result.nrmse)} sets, best NRMSE {100 * result.nrmse[0]:.2f} %"
+        where = "no folder kept" if self._kept else self._folder.as_posix()
+        return f"<Fit {result.name} ({result.kind}, {result.state}): {best}; {where}>"
+
+    @property
+    def sets(self) -> ParameterSets:
+        """The ranked sets."""
+        return self.result.parameter_sets()
+
+    @property
+    def verdict(self) -> str:
+        """Whether noise explains the fit, and what the data leave open, in one sentence."""
+        return verdict_on(self.result)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What may be wrong, a sentence each."""
+        return self.result.warnings
+
+    @property
+    def trials(self) -> tuple[str, ...]:
+        """Names of the trials."""
+        return tuple(trial.name for trial in self.result.trials)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """Value of the best set, unit, 95 % interval and verdict of every free parameter [SI]."""
+        import pandas as pd
+
+        best, judged = self.sets.best, self.result.settings.get(INTERVALS, {})
+        free = [record for record in self.result.parameters if record.status == "free"]
+        rows = [
+            {"symbol": record.symbol, "value": best[record.name], "unit": record.unit}
+            | interval_columns(judged.get(record.name))
+            for record in free
+        ]
+        return pd.DataFrame(rows, index=pd.Index([record.name for record in free], name="parameter"))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return `table`."""
+        return self.table
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return the verdict and the warnings."""
+        return (self.verdict, *self.warnings)
+
+    def trial(self, name: str) -> FitTrial:
+        """Return a trial by name; FitError where the fit has none of that name."""
+        for trial in self.result.trials:
+            if trial.name == name:
+                return FitTrial(self.result, trial)
+        raise FitError(f"{self.result.name}: no trial {name!r}; found {', '.join(self.trials)}")
+
+    def trust(self, **options: Any) -> Judgement:
+        """Find the interval and verdict of every parameter, with a bootstrap over the trials.
+
+        `options` are those of ``sysid trust``: ``resamples``, ``seed``, ``threads``, ``campaign``. The result
+        is kept in the folder, and `table` shows it. Raises SysidError when the campaign cannot be used.
+        """
+        document = assess_fit(self._folder, python_options(TrustOptions, options))
+        self.result = with_intervals(self.result, self._folder)
+        return Judgement(document)
+
+    def report(self, out: str | Path | None = None, **options: Any) -> Path:
+        """Write the report as one HTML page and return its path, by default ``report.html`` in the folder.
+
+        `options` are those of ``sysid report``: ``against``, ``figure``, ``gif``, ``drop``, ``force``. Raises
+        SysidError when something is missing or would be overwritten.
+        """
+        if out is None and self._kept:
+            raise FitError(f"{self.result.name}: no folder was kept; name the page, as in report('fit.html')")
+        given = {**options, "out": out}
+        return write_report(self._folder, python_options(ReportOptions, given))["report"]
+
+
+def load_fit(path: str | Path) -> Fit:
+    """Read a fit folder; FitError when it is missing, foreign or damaged."""
+    folder = fit_folder(Path(path))
+    return Fit(with_intervals(read_fit(path), folder), folder)
+
+
+def fit_campaign(
+    campaign: str | Path | Campaign, out: str | Path | None = None, *, kind: str | None = None,
+    law: Mapping[str, Any] | None = None, **options: Any,
+) -> Fit:  # fmt: skip
+    """Fit the model of a campaign's kind to its trials.
+
+    Parameters
+    ----------
+    campaign : path or Campaign
+        Campaign file, or the folder that holds it.
+    out : path, optional
+        Folder of the fit; without it none is kept.
+    kind : str, optional
+        The only kind that is accepted.
+    law : mapping, optional
+        Settings instead of the campaign's, such as ``{"surface": "hf"}``.
+    **options
+        As of the commands: ``runs``, ``seed``, ``population``, ``max_generations``, ``time_limit="20min"``,
+        ``algorithm``, ``finish``, ``threads``, ``trust=False``, ``resume``, ``force``, ``dask``.
+
+    Raises
+    ------
+    SysidError
+        When an input cannot be used; nothing has been written then.
+    """
+    path = campaign.path if isinstance(campaign, Campaign) else campaign_file(Path(campaign))
+    kept = TemporaryDirectory(prefix="sysid-") if out is None else None
+    folder = Path(kept.name) / "fit" if kept else Path(out or "")
+    chosen = python_options(FitOptions, options, out=folder, quiet=True)
+    result, written = fits.fit_campaign(path, chosen, kind=kind, law=law)
+    return Fit(result, written, kept)
+
+
+def fit_gear(
+    campaign: str | Path | Campaign, out: str | Path | None = None, *, surface: str | None = None,
+    **options: Any,
+) -> Fit:  # fmt: skip
+    """Fit a landing gear to drops, see `fit_campaign`.
+
+    `surface` is another friction law than the campaign's.
+    """
+    law = {} if surface is None else {"surface": surface}
+    return fit_campaign(campaign, out, kind="gear", law=law, **options)
+
+
+def fit_motor(campaign: str | Path | Campaign, out: str | Path | None = None, **options: Any) -> Fit:
+    """Fit a motor to bench logs, see `fit_campaign`."""
+    return fit_campaign(campaign, out, kind="motor", **options)
+
+
+def simulate_drop(gear: RankedSet, slope: str | float, speed: str | float, **options: Any) -> Landing:
+    """Simulate a drop without thrust, from the touchdown on.
+
+    Parameters
+    ----------
+    gear : RankedSet
+        Such as ``sets.best``.
+    slope, speed : str or float
+        Slope of the ground and vertical touchdown speed, with units; bare numbers are in rad and m/s.
+    **options
+        As of ``sysid simulate``: ``pitch``, ``pitch_rate``, ``horizontal_speed``, ``rate``, ``horizon``, and
+        when a landing is over.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> sets = sysid.load_parameter_sets("data_samples/published/published-gear-lf.json")
+    >>> drop = sysid.simulate_drop(sets.best, slope="20 deg", speed="0.5 m/s")
+    >>> drop
+    >>> drop.events.head(3)
+    """
+    fixed = {"controller": "off", "controller_file": None, "trigger": "contact", "height": None}
+    chosen = python_options(TouchdownOptions, {"slope": slope, "speed": speed, **options}, **fixed)
+    return land_drone(drone(_set(gear)), chosen, None)
+
+
+def simulate_landing(
+    gear: RankedSet, motor: RankedSet, slope: str | float, speed: str | float, controller: str = "reverse",
+    *, ideal_reversal: bool = False, **options: Any,
+) -> Landing:  # fmt: skip
+    """Simulate a landing with motors under a controller; other arguments as for `simulate_drop`.
+
+    Parameters
+    ----------
+    motor : RankedSet
+        Set of the motors.
+    controller : str
+        ``off``, ``reverse``, ``command:U``, ``impulse:delay=50ms,duration=0.1``, or one of yours.
+    ideal_reversal : bool
+        Let the motors reverse without delay.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> gear = sysid.load_parameter_sets("data_samples/published/published-gear-lf.json")
+    >>> motor = sysid.load_parameter_sets("data_samples/published/published-motor.json")
+    >>> sysid.simulate_landing(gear.best, motor.best, slope="20 deg", speed="0.5 m/s")
+    """
+    given = {"slope": slope, "speed": speed, "controller": controller, **options}
+    chosen = python_options(TouchdownOptions, given)
+    return land_drone(drone(_set(gear), _set(motor)), chosen, controller_of(chosen, ideal_reversal))
+
+
+def _set(given: Any) -> RankedSet:
+    if isinstance(given, RankedSet):
+        return given
+    raise ExportError(f"expected one set of a fit, such as sets.best, found a {type(given).__name__}")

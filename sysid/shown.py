@@ -1,0 +1,31 @@
+"""Results as tables: what a notebook shows and `to_frame` returns."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from html import escape
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# A longer table is shown with its middle left out.
+_MOST_ROWS = 12
+
+
+class Shown(ABC):
+    """A result with a table; a notebook shows its `repr`, the table and the `remarks`."""
+
+    @abstractmethod
+    def to_frame(self) -> pd.DataFrame:
+        """Return the result as a table."""
+
+    def remarks(self) -> Iterable[object]:
+        """Return the sentences about the result."""
+        return ()
+
+    def _repr_html_(self) -> str:
+        lines = "".join(f"<li>{escape(str(line))}</li>" for line in self.remarks())
+        table = self.to_frame().to_html(max_rows=_MOST_ROWS, border=0, float_format="{:.6g}".format)
+        return f"<p>{escape(repr(self))}</p>{table}" + (f"<ul>{lines}</ul>" if lines else "")
