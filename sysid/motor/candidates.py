@@ -40,8 +40,8 @@ def candidate_trials(problem: MotorProblem, row: FloatArray) -> tuple[MotorProbl
         for title, time, command in _commands():
             trial = _candidate(problem, template, rows, time, sign * command)
             if trial is not None:
-                trials.append(trial)
                 titles.append(f"{title}, {template.entry.direction}")
+                trials.append(replace(trial, entry=trial.entry.model_copy(update={"name": titles[-1]})))
                 # Simulated samples show no noise.
                 noise.append(np.array([levels.get((t, c), np.nan) for c in range(2)]))
     if not trials:

@@ -122,8 +122,12 @@ class MotorProblem(Problem):
     def only(self, names: Collection[str]) -> MotorProblem:
         """Return the problem of some of the trials."""
         chosen = [t for t, trial in enumerate(self.prepared) if trial.entry.name in names]
-        prepared = tuple(self.prepared[t] for t in chosen)
-        return replace(self, prepared=prepared, targets=tuple(self.targets[t] for t in chosen))
+        return replace(
+            self,
+            prepared=tuple(self.prepared[t] for t in chosen),
+            targets=tuple(self.targets[t] for t in chosen),
+            stated_noise=None if self.stated_noise is None else self.stated_noise[chosen],
+        )
 
     def of(self, trials: tuple[PreparedTrial, ...]) -> MotorProblem:
         """Return the problem of other trials, without their starts from rest."""

@@ -118,17 +118,22 @@ class Assessment:
     def verdicts(self) -> tuple[str, ...]:
         """The verdict on every free parameter.
 
-        Where noise does not explain the trials, no parameter is well known, and one that a bound cuts is
-        not interpretable.
+        Where noise does not explain the trials, no parameter is well known. One that a bound cuts is not
+        interpretable then, nor is one that trades with it: the bound shifts it as well.
         """
         words = [verdict(profile.half_width) for profile in self.profiles.profiles]
         if self.adequacy.verdict != NOT_BY:
             return tuple(words)
-        cut = self.adequacy.symptoms
-        names = (profile.name for profile in self.profiles.profiles)
+        names = [profile.name for profile in self.profiles.profiles]
+        cut = {*self.adequacy.symptoms}
+        partners = self.linear.information.partners(names)
         return tuple(
-            "not_interpretable" if name in cut else "weakly" if word == "well" else word
-            for name, word in zip(names, words, strict=True)
+            "not_interpretable"
+            if cut & {name, *(partner.name for partner in others)}
+            else "weakly"
+            if word == "well"
+            else word
+            for name, others, word in zip(names, partners, words, strict=True)
         )
 
 

@@ -53,10 +53,11 @@ class FreeParameter(Part):
     from the profile; an open end is a bound of the search. ``half_width`` is half of ``interval_95`` over the
     profile's best value, infinite where open; ``expected_half_width`` is linearized, as in `sysid check`.
     ``verdict`` is "well" below 0.1, "weakly" below 0.5, else "not_identifiable"; never "well" with a
-    ``doubt``, which says why the interval may miss the truth. It is "not_interpretable" where a bound cuts
-    and the model does not explain the trials. ``partners`` come strongest first, from a
-    correlation of 0.8 on. ``at_bound`` is -1, 0 or 1: the best set ends within 1 % of a bound. ``measured``
-    is the campaign's independent measurement. ``rough_points`` of the profile needed a random search.
+    ``doubt``, which says why the interval may miss the truth. It is "not_interpretable" where the
+    model does not explain the trials and a bound cuts it or a partner. ``partners`` come strongest first,
+    from a correlation of 0.8 on. ``at_bound`` is -1, 0 or 1: the best set ends within 1 % of a bound.
+    ``measured`` is the campaign's independent measurement. ``rough_points`` of the profile needed a random
+    search.
     """
 
     name: str
@@ -299,11 +300,12 @@ class ExpectedParameter(Expected):
 
 
 class CandidateRecording(Part):
-    """A recording that could be made next: half-widths [1] and verdicts with it, by parameter."""
+    """A recording that could be made next: what it leaves open of each parameter, as `Expected` states it."""
 
     title: str
     gain: float
     half_widths: dict[str, float]
+    half_widths_over_bounds: dict[str, float]
     verdicts: dict[str, str]
 
 

@@ -8,6 +8,7 @@ the half-widths at points drawn from the bounds.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,8 @@ _TRAJECTORIES, _LEVELS = 10, 4
 ELSEWHERE = 8
 # Of the cube, so that a difference does not leave it.
 _INSIDE = 0.05
+# Candidates that are judged over the bounds as well, the best by their gain.
+_JUDGED = 4
 
 
 def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearized:
@@ -38,23 +41,32 @@ def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearize
     return linearized(problem, point, floor, scale, sample, noise, problem.disturbances(point))
 
 
+def drawn_outlooks(problem: Problem, noise: NoiseModel, seed: int = 0) -> tuple[Linearized, ...]:
+    """Return the outlooks at points drawn from the bounds, as far as they can be simulated."""
+    drawn = np.random.default_rng(seed).random((ELSEWHERE, len(problem.space.free)))
+    drawn = _INSIDE + (1 - 2 * _INSIDE) * drawn
+    _, failed = problem.residuals(drawn)
+    return tuple(outlook(problem, point, noise) for point in drawn[~failed])
+
+
 def expectations(
-    problem: Problem, point: FloatArray, noise: NoiseModel, *, over_bounds: bool = True, seed: int = 0
+    problem: Problem,
+    point: FloatArray,
+    noise: NoiseModel,
+    drawn: Sequence[Linearized] | None = None,
+    *,
+    seed: int = 0,
 ) -> tuple[Linearized, tuple[Expected, ...]]:
     """Return what the trials should determine of every free parameter, at a unit-cube point (n_free,).
 
-    With `over_bounds` also at points drawn from the bounds, and the elementary effects.
+    With `drawn_outlooks` also over the bounds, and the elementary effects.
     """
     view = outlook(problem, point, noise)
     n = len(point)
     elsewhere, effect, interaction = (np.full(n, np.nan) for _ in range(3))
-    if over_bounds:
-        source = np.random.default_rng(seed)
-        drawn = _INSIDE + (1 - 2 * _INSIDE) * source.random((ELSEWHERE, n))
-        _, failed = problem.residuals(drawn)
-        widths = [outlook(problem, other, noise).half_widths for other in drawn[~failed]]
-        if widths:
-            elsewhere = np.median(widths, axis=0)
+    if drawn is not None:
+        if drawn:
+            elsewhere = np.median([other.half_widths for other in drawn], axis=0)
         effect, interaction = morris(problem, seed)
     partners = view.information.partners(problem.space.names)
     value = problem.space.decode(point)
@@ -77,7 +89,7 @@ def nominal_point(space: SearchSpace) -> FloatArray:
 def quick_expectations(problem: Problem) -> tuple[Expected, ...]:
     """Return what trials are expected to determine at the default values; takes a second."""
     noise = problem.correlation()
-    return expectations(problem, nominal_point(problem.space), noise, over_bounds=False)[1]
+    return expectations(problem, nominal_point(problem.space), noise)[1]
 
 
 def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
@@ -117,13 +129,20 @@ def information_by_channel(problem: Problem, view: Linearized) -> FloatArray:
 class Candidate:
     """A recording that could be made next, such as ``a drop on 25 deg at 0.8 m/s``.
 
-    `half_widths` (n,) are every parameter's with it [1]. `gain` is the logarithm by which the half-widths of
-    the weakly determined parameters fall, summed [1].
+    `half_widths` (n,) are every parameter's with it [1], `over_bounds` (n,) the median over points drawn from
+    the bounds; NaN where not computed. `gain` is the logarithm by which the half-widths of the weakly
+    determined parameters fall, summed [1].
     """
 
     title: str
     half_widths: FloatArray
+    over_bounds: FloatArray
     gain: float
+
+    @property
+    def worse(self) -> FloatArray:
+        """(n,) the larger of both half-widths [1]."""
+        return np.fmax(self.half_widths, self.over_bounds)
 
 
 def rank_candidates(
@@ -132,22 +151,45 @@ def rank_candidates(
     others: Problem,
     titles: tuple[str, ...],
     weak: BoolArray,
-    *,
-    common: int = 0,
+    drawn: Sequence[Linearized] = (),
 ) -> tuple[Candidate, ...]:
     """Rank recordings by what they would add, the best first.
 
     `problem` is what was recorded, and `view` what it leaves open. `others` has the same free parameters and
-    one trial per candidate; `weak` (n,) are the parameters that need more. The last `common` disturbances are
-    the same in both problems (an error of a static curve), so that one more trial does not average them.
+    one trial per candidate; `weak` (n,) are the parameters that need more. With `drawn_outlooks` the best
+    ones alone are returned, judged over the bounds as well.
+    """
+    widths = _with_each(problem, view, others)
+    if widths is None:
+        return ()
+    gains = np.log(np.maximum(view.half_widths, 1e-12) / np.maximum(widths, 1e-12))[:, weak].sum(axis=1)
+    order = np.argsort(-gains, kind="stable")
+    elsewhere = np.full(widths.shape, np.nan)
+    if drawn:
+        best = {*order[:_JUDGED].tolist(), *np.argmin(widths[:, weak], axis=0).tolist()}
+        order = np.array([t for t in order if t in best])
+        few = others.only([others.names[t] for t in sorted(best)])
+        # Where a recording cannot be simulated it adds nothing.
+        every = (_with_each(problem, other, few) for other in drawn)
+        filled = [np.tile(o.half_widths, (len(best), 1)) if e is None else e
+                  for o, e in zip(drawn, every, strict=True)]  # fmt: skip
+        elsewhere[sorted(best)] = np.median(filled, axis=0)
+    return tuple(Candidate(titles[t], widths[t], elsewhere[t], float(gains[t])) for t in order)
+
+
+def _with_each(problem: Problem, view: Linearized, others: Problem) -> FloatArray | None:
+    """Return the half-widths (T, n) with each candidate's trial at a view's point; None where one is lost.
+
+    The last `common` disturbances are the same in both problems (an error of a static curve), so that one
+    more trial does not average them.
     """
     _, failed = others.residuals(view.point[None])
     if failed.any():
-        return ()
+        return None
     levels = np.array([block.noise for block in others.blocks])
     # Weighted as a trial of the campaign.
-    share = 1.0 / len(problem.trials)
-    blocks = [replace(block, weight=block.weight * len(titles) * share) for block in others.blocks]
+    count, common = len(others.trials), problem.common
+    blocks = [replace(b, weight=b.weight * count / len(problem.trials)) for b in others.blocks]
     scale = scales(blocks, levels, blocks[-1].stop)
     weight = sum(block.weight * max(block.noise, 1e-9) for block in others.blocks)
     sample = float(np.sqrt(weight / sum(block.count for block in others.blocks)))
@@ -157,7 +199,7 @@ def rank_candidates(
     shared = problem.disturbances(view.point)[-common:] * view.scale if common else changes[:0]
     before = view.jacobian.values.T @ shared.T if common else np.zeros((len(view.point), 0))
     out = []
-    for t, title in enumerate(titles):
+    for t in range(count):
         chosen = [b for b, block in enumerate(blocks) if block.trial == t]
         alone = np.zeros_like(derived)
         for b in chosen:
@@ -168,8 +210,5 @@ def rank_candidates(
         after = before + alone.T @ (changes[first:] * scale).T
         both = np.concatenate([view.jacobian.values, alone])
         whole = view.information.gradient_noise + spread + after @ after.T - before @ before.T
-        known = bounded_information(both, whole, view.point)
-        widths = half_widths(problem.space, view.point, known.sigma)
-        lowered = np.log(np.maximum(view.half_widths, 1e-12) / np.maximum(widths, 1e-12))
-        out.append(Candidate(title, widths, float(np.sum(lowered[weak]))))
-    return tuple(sorted(out, key=lambda candidate: -candidate.gain))
+        out.append(half_widths(problem.space, view.point, bounded_information(both, whole, view.point).sigma))
+    return np.array(out)

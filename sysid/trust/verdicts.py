@@ -10,7 +10,7 @@ from sysid.trust.documents import Expected
 
 # Relative 95 % half-widths that part the verdicts.
 WELL, WEAKLY = 0.1, 0.5
-# The last one is of a bound that cuts under a wrong model: no interval can be read there.
+# The last one: under a wrong model a bound cuts the parameter or a partner, so no interval can be read.
 VERDICTS = ("well", "weakly", "not_identifiable", "not_interpretable")
 
 

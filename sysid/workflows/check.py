@@ -15,6 +15,7 @@ from sysid.trust.documents import CheckDocument, Expected
 from sysid.trust.linearized import Linearized
 from sysid.trust.sensitivity import (
     Candidate,
+    drawn_outlooks,
     expectations,
     information_by_channel,
     nominal_point,
@@ -47,15 +48,15 @@ def check_campaign(
             whole = kind.open(campaign, path, threads)
             journal.fold(len(whole.trials))
             problem = whole.fitted.exact
-            view, expected = expectations(problem, nominal_point(problem.space), problem.correlation())
+            noise = problem.correlation()
+            drawn = drawn_outlooks(problem, noise)
+            view, expected = expectations(problem, nominal_point(problem.space), noise, drawn)
             weak = np.array([row.verdict != "well" for row in expected])
             candidates: tuple[Candidate, ...] = ()
             if weak.any():
                 made = kind.candidates(problem, problem.space.full(view.point[None])[0])
                 if made is not None:
-                    candidates = rank_candidates(
-                        problem, view, made[0], tuple(made[1]), weak, common=problem.common
-                    )
+                    candidates = rank_candidates(problem, view, made[0], tuple(made[1]), weak, drawn)
             out = _verdicts(problem, view, expected, candidates, kind.words.single)
             out["sentences"] += whole.advice([row.name for row in expected if row.verdict != "well"])
             out |= {"quality": whole.quality(), "excitation": whole.excitation(), **whole.about()}
@@ -86,27 +87,26 @@ def _verdicts(
     if rough:
         lines.append(f"derivatives of {', '.join(rough)} change with the step: their verdicts are rough")
     for i, row in enumerate(expected):
-        if row.verdict != "well" and verdict(row.half_width) == "well":
+        if row.verdict == "well":
+            continue
+        best = min(candidates, key=lambda c, i=i: float(c.worse[i]), default=None)  # type: ignore[misc]
+        after = np.inf if best is None else float(best.worse[i])
+        lifts = _lifts(row, after)
+        if verdict(row.half_width) == "well" and not lifts:
             lines.append(
                 f"{row.symbol}: {as_half_width(row.half_width)} at {row.value:.3g} {row.unit}, but "
                 f"{as_half_width(row.half_width_over_bounds)} in the middle of draws over its bounds: the "
                 "trials determine it only if it lies where the defaults do; state narrower bounds if you can"
             )
-            continue
-        better = [c for c in candidates if verdict(float(c.half_widths[i])) != verdict(row.half_width)]
-        if row.verdict == "well" or not candidates:
-            continue
-        best = min(candidates, key=lambda c, i=i: float(c.half_widths[i]))  # type: ignore[misc]
-        after = float(best.half_widths[i])
-        if better and after < row.half_width:
+        elif best is not None and lifts:
             lines.append(
-                f"to determine {row.symbol}: {best.title} ({as_half_width(row.half_width)} now, "
+                f"to determine {row.symbol}: {best.title} ({as_half_width(row.worse)} now, "
                 f"{as_half_width(after)} with it)"
             )
-        else:
+        elif best is not None:
             lines.append(f"no single {single} within the lab's reach determines {row.symbol}")
     # Worth recording is what lifts a verdict.
-    lifting = [(c, [e.symbol for e, w in zip(expected, c.half_widths, strict=True) if _lifts(e, w)])
+    lifting = [(c, [e.symbol for e, w in zip(expected, c.worse.tolist(), strict=True) if _lifts(e, w)])
                for c in candidates]  # fmt: skip
     worth = [f"{c.title} (lifts {', '.join(symbols)})" for c, symbols in lifting if symbols]
     if worth:
@@ -122,7 +122,8 @@ def _verdicts(
                 "title": c.title,
                 "gain": c.gain,
                 "half_widths": dict(zip(names, c.half_widths.tolist(), strict=True)),
-                "verdicts": {n: verdict(float(w)) for n, w in zip(names, c.half_widths, strict=True)},
+                "half_widths_over_bounds": dict(zip(names, c.over_bounds.tolist(), strict=True)),
+                "verdicts": {n: verdict(w) for n, w in zip(names, c.worse.tolist(), strict=True)},
             }
             for c in candidates
         ],
@@ -132,4 +133,4 @@ def _verdicts(
 
 def _lifts(row: Expected, half_width: float) -> bool:
     """Return whether a half-width belongs to a better verdict than what is expected now."""
-    return half_width < row.half_width and verdict(float(half_width)) != verdict(row.half_width)
+    return half_width < row.worse and verdict(half_width) != row.verdict

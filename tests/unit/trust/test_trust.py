@@ -1,6 +1,7 @@
 """Trust on problems whose answer is known in closed form: linear models with noise of known correlation."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,14 +9,14 @@ from scipy.optimize import lsq_linear
 
 from sysid.fit.problem import Block, NoiseModel, Trial
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
-from sysid.trust.assessment import assess, bootstrap, leave_one_out, linearize, refit
+from sysid.trust.assessment import Assessment, assess, bootstrap, leave_one_out, linearize, refit
 from sysid.trust.influence import influence
 from sysid.trust.jacobian import jacobian
 from sysid.trust.least_squares import search_around, solve
 from sysid.trust.linearized import NORMAL_95, bounded_information, half_widths, information, noise_model
 from sysid.trust.problem import nrmse_of, scales
 from sysid.trust.profiles import _crossing
-from sysid.trust.sensitivity import expectations, morris, rank_candidates
+from sysid.trust.sensitivity import drawn_outlooks, expectations, morris, rank_candidates
 from sysid.trust.verdicts import sentences, verdict
 
 
@@ -35,6 +36,11 @@ class Linear:
     rows: np.ndarray = field(default_factory=lambda: np.zeros(0))
     scale: str = "linear"
     bend: float = 0.0
+    common = 0
+
+    def only(self, names):
+        kept = [self.names.index(name) for name in names]
+        return replace(self, designs=[self.designs[t] for t in kept], data=[self.data[t] for t in kept])
 
     def __post_init__(self):
         self.space = _space(self.designs[0].shape[1], self.scale)
@@ -321,7 +327,7 @@ def test_the_recording_that_sees_the_blind_parameter_is_ranked_first():
     blind = [np.concatenate([a, 1e-4 * source.standard_normal(a.shape)], axis=1) for a in designs]
     problem = Linear(blind, data)
     noise = NoiseModel((0,), np.ones((1, 1, 1)))
-    view, expected = expectations(problem, np.array([0.5, 0.5]), noise, over_bounds=False)
+    view, expected = expectations(problem, np.array([0.5, 0.5]), noise)
     assert [one.verdict for one in expected] == ["well", "not_identifiable"]
     shapes = [np.array([1.0, 0.0]), np.array([0.0, 1.0]), np.array([0.0, 0.3])]
     extra = [source.standard_normal((200, 1, 1)) * shape[None, :, None] for shape in shapes]
@@ -331,9 +337,31 @@ def test_the_recording_that_sees_the_blind_parameter_is_ranked_first():
     assert [one.title for one in ranked] == ["the other", "a little of it", "the same"]
     # 200 samples of unit size at a noise of 0.1: sigma 0.1/sqrt(200), whatever the sample's own rms (5 %).
     assert ranked[0].half_widths[1] == pytest.approx(NORMAL_95 * 0.1 / np.sqrt(200), rel=0.15)
+    # A linear model is as well known anywhere; relative to a value between 0.05 and 1.95 instead of 1.
+    drawn = drawn_outlooks(problem, noise)
+    judged = rank_candidates(problem, view, others, titles, np.array([False, True]), drawn)
+    for one, same in zip(judged, ranked, strict=True):
+        values = [problem.space.decode(other.point) for other in drawn]
+        expected_there = np.median(same.half_widths[0] / np.array(values)[:, 0])
+        assert one.over_bounds[0] == pytest.approx(expected_there, rel=0.05)
+        assert np.all(one.worse >= one.half_widths)
     said = sentences(expected)
     assert said[0] == "well identifiable: p_0"
     assert "p1 (p_1) is not identifiable" in said[1]
+
+
+@pytest.mark.parametrize("explained", [True, False])
+def test_under_a_wrong_model_the_partner_of_a_cut_parameter_cannot_be_read_either(explained):
+    # p0 trades with p1, which a bound cuts; p2 stands alone.
+    design = np.array([[1.0, 0.95, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 1.0]]) * 100
+    known = information(design, design.T @ design)
+    profiles = [SimpleNamespace(name=f"p{i}", half_width=width) for i, width in enumerate((0.01, 0.6, 0.01))]
+    found = Assessment(
+        SimpleNamespace(verdict="explained" if explained else "not_explained", symptoms=["p1"]),
+        None, SimpleNamespace(information=known), SimpleNamespace(profiles=profiles), None, None,
+    )  # fmt: skip
+    right, wrong = ("well", "not_identifiable", "well"), ("not_interpretable", "not_interpretable", "weakly")
+    assert found.verdicts == (right if explained else wrong)
 
 
 def test_a_step_that_overshoots_is_no_convergence():
