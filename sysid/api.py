@@ -75,8 +75,11 @@ def load_log(path: str | Path, *, format: str = "auto", **options: Any) -> Log:
     >>> import sysid
     >>> log = sysid.load_log("data_samples/motor/forward-1.csv")
     >>> log
+    <Recording forward-1.csv (load-cell): command, speed, thrust, torque; 5 s>
     >>> log["speed"]
+    <Channel speed [rad/s]: 50000 samples, 10000 Hz>
     >>> log.to_frame().columns.tolist()
+    ['command [us]', 'speed [rad/s]', 'thrust [N]', 'torque [N·m]']
     """
     return Log(**vars(load(path, format=format, **options)))
 
@@ -89,7 +92,9 @@ def inspect(path: str | Path, *, format: str = "auto", **options: Any) -> LogRep
     >>> import sysid
     >>> report = sysid.inspect("data_samples/gear-lf/drop-1-5deg-0.50mps.csv")
     >>> report
+    <LogReport drop-1-5deg-0.50mps.csv (motion-capture, motive-csv): 7 channels, 1.775 s, no suspicions>
     >>> round(report.drop.touchdown, 2)
+    11.82
     """
     return inspect_recording(load(path, format=format, **options))
 
@@ -147,7 +152,9 @@ class Campaign:
     >>> import sysid
     >>> campaign = sysid.Campaign.read("data_samples/motor")
     >>> campaign
+    <Campaign synthetic-motor (motor): 5 trials in data_samples/motor/campaign.toml>
     >>> campaign.trials[:2]
+    ('forward-1', 'reverse-1')
     """
 
     def __init__(self, path: Path, content: Any) -> None:
@@ -220,6 +227,24 @@ class Fit(Shown):
     """A fit: its sets, trials, trust and report.
 
     `result` has all arrays of the search, `folder` is where it lies, or None where none was kept.
+
+    Examples
+    --------
+    A taste; a fit with the campaign's own settings takes about a minute:
+
+    >>> import sysid
+    >>> taste = {"runs": 1, "population": 8, "max_generations": 2, "finish": "none", "trust": False}
+    >>> fit = sysid.fit_gear("data_samples/gear-lf", out="fits/taste", **taste)
+    >>> fit
+    <Fit synthetic-lf (gear, done): 1 set, best NRMSE ... %; fits/taste>
+    >>> sysid.load_fit("fits/taste").table.loc["leg_axial_stiffness", ["symbol", "unit"]].tolist()
+    ['k_h', 'N/m']
+    >>> fit.trial("drop-1").to_frame()["x_B [m]"].columns.tolist()
+    ['measured', 'predicted']
+    >>> fit.report().as_posix()
+    'fits/taste/report.html'
+    >>> fit.sets.to_frame().loc["leg_length"].status
+    'derived'
     """
 
     def __init__(self, result: FitResult, folder: Path, kept: TemporaryDirectory[str] | None = None) -> None:
@@ -233,7 +258,8 @@ class Fit(Shown):
 
     def __repr__(self) -> str:
         result = self.result
-        best = f"{len(result.nrmse)} sets, best NRMSE {100 * result.nrmse[0]:.2f} %"
+        count = len(result.nrmse)
+        best = f"{count} set{'' if count == 1 else 's'}, best NRMSE {100 * result.nrmse[0]:.2f} %"
         where = "no folder kept" if self._kept else self._folder.as_posix()
         return f"<Fit {result.name} ({result.kind}, {result.state}): {best}; {where}>"
 
@@ -381,9 +407,13 @@ def simulate_drop(gear: RankedSet, slope: str | float, speed: str | float, **opt
     --------
     >>> import sysid
     >>> sets = sysid.load_parameter_sets("data_samples/published/published-gear-lf.json")
+    >>> float(sets.best["k_h"])  # N/m
+    6440.0
     >>> drop = sysid.simulate_drop(sets.best, slope="20 deg", speed="0.5 m/s")
     >>> drop
-    >>> drop.events.head(3)
+    <Landing (no thrust; 20 deg, 0.5 m/s, lf): other, 1.193 m>
+    >>> drop.events[["event", "of"]].head(2).to_numpy().tolist()
+    [['touchdown', 'rear'], ['lift_off', 'rear']]
     """
     fixed = {"controller": "off", "controller_file": None, "trigger": "contact", "height": None}
     chosen = python_options(TouchdownOptions, {"slope": slope, "speed": speed, **options}, **fixed)
@@ -411,6 +441,7 @@ def simulate_landing(
     >>> gear = sysid.load_parameter_sets("data_samples/published/published-gear-lf.json")
     >>> motor = sysid.load_parameter_sets("data_samples/published/published-motor.json")
     >>> sysid.simulate_landing(gear.best, motor.best, slope="20 deg", speed="0.5 m/s")
+    <Landing (reverse; 20 deg, 0.5 m/s, lf): short after 0.643 s, 0.204 m>
     """
     given = {"slope": slope, "speed": speed, "controller": controller, **options}
     chosen = python_options(TouchdownOptions, given)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sized
+from dataclasses import fields
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,3 +30,20 @@ class Shown(ABC):
         lines = "".join(f"<li>{escape(str(line))}</li>" for line in self.remarks())
         table = self.to_frame().to_html(max_rows=_MOST_ROWS, border=0, float_format="{:.6g}".format)
         return f"<p>{escape(repr(self))}</p>{table}" + (f"<ul>{lines}</ul>" if lines else "")
+
+
+class Brief:
+    """A dataclass whose `repr` says the shape of arrays and the length of lists."""
+
+    def __repr__(self) -> str:
+        parts = ", ".join(f"{f.name}={_brief(getattr(self, f.name))}" for f in fields(self))  # type: ignore[arg-type]
+        return f"{type(self).__name__}({parts})"
+
+
+def _brief(value: Any) -> str:
+    if hasattr(value, "shape"):
+        return str(value.shape) if value.shape else f"{value:g}"
+    if isinstance(value, Sized) and not isinstance(value, str) and len(value) > 2:
+        return f"<{len(value)}>"
+    text = repr(value)
+    return text if len(text) <= 80 else f"<{type(value).__name__}>"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.fit.stopping import REASONS, StopReason
+from sysid.shown import Brief
 from sysid.types import FloatArray, IntArray
 
 
@@ -57,8 +58,8 @@ class Generation:
         return float(np.median(self.cost))
 
 
-@dataclass(frozen=True, eq=False)
-class StageHistory:
+@dataclass(frozen=True, eq=False, repr=False)
+class StageHistory(Brief):
     """One algorithm's part of a run.
 
     Parameters
@@ -98,8 +99,8 @@ class StageHistory:
         return REASONS[self.stop_reason]
 
 
-@dataclass(frozen=True, eq=False)
-class RunHistory:
+@dataclass(frozen=True, eq=False, repr=False)
+class RunHistory(Brief):
     """Everything one run did: the search, then the finisher where there was one."""
 
     seed: int

@@ -15,11 +15,12 @@ from sysid.fit.optima import Agreement, agreement
 from sysid.journal import Finding
 from sysid.parameter_sets import ParameterRecord, ParameterSets, SetsContent
 from sysid.parameters import SearchSpace, about, in_words, with_unit
+from sysid.shown import Brief
 from sysid.types import BoolArray, FloatArray, Spectrum
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TrialResult:
+class TrialResult(Brief):
     """One trial, measured and simulated with every set, inside its fit window.
 
     Parameters
@@ -55,7 +56,7 @@ class TrialResult:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RankedSets:
+class RankedSets(Brief):
     """The best individual of each run, best first, with the run (from 1) and its seed.
 
     `cube` (S, n_free) are unit-cube points, `cost` (S,) the NRMSE that the search saw [1], `values`

@@ -59,6 +59,7 @@ from sysid.gear.kernel import parameter_row
 from sysid.gear.parameters import PARAMETERS, parameters_on
 from sysid.gear.propulsion import Propulsion, plans
 from sysid.gear.surfaces import SURFACES, Surface, find_surface
+from sysid.shown import Brief
 from sysid.types import FloatArray, IntArray
 
 LF_FREE = SURFACES["lf"].free
@@ -163,8 +164,8 @@ class Event:
     foot: Literal["rear", "front", "body"]
 
 
-@dataclass(frozen=True, eq=False)
-class GearTrajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class GearTrajectory(Brief):
     """One simulated drop on its sample times [s].
 
     Parameters

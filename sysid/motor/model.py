@@ -44,6 +44,7 @@ from numpy.typing import ArrayLike
 from sysid.errors import FitError
 from sysid.motor import kernel
 from sysid.motor.parameters import FREE_DEFAULT, PARAMETERS, kv_to_si
+from sysid.shown import Brief
 from sysid.types import FloatArray
 
 __all__ = [
@@ -165,8 +166,8 @@ def steady_state(
     return pairs[..., 0].reshape(shape), pairs[..., 1].reshape(shape)
 
 
-@dataclass(frozen=True, eq=False)
-class MotorTrajectory:
+@dataclass(frozen=True, eq=False, repr=False)
+class MotorTrajectory(Brief):
     """What a simulated motor did, (n,) each, over `time` [s].
 
     `current` is I of equation (1) and `effective_current` I_eff of (2) [A], `speed` Ω [rad/s], positive
