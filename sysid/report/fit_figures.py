@@ -59,18 +59,28 @@ _LIMITS = ((0.988946, "68 %"), (3.841459, "95 %"))
 Bars = Mapping[str, Sequence[tuple[float, float]]]
 
 
-def figure_channel(fit: FitResult, trial: TrialResult, channel: int, *, bars: Bars | None = None) -> Figure:
-    """Draw one channel of one trial for a page: measured, every set, the residual of the best below."""
-    # Fixed margins: a page has dozens of these, and laying one out takes longer than drawing it.
-    figure = Figure(figsize=(WIDTH, 3.1))
-    margins = {"left": 0.235, "right": 0.965, "top": 0.92, "bottom": 0.15, "hspace": 0.12}
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2.4, 1.0), gridspec_kw=margins)
-    _draw_pair(top, bottom, fit, trial, channel, bars or {})
-    name, _, _ = display_of(fit, channel)
-    # Apart, because formulas are slow to set and this one is set once for all trials.
-    top.set_title(name, fontsize=9.5, loc="left")
-    bottom.set_xlabel("time in the window [s]")
-    figure.align_ylabels([top, bottom])
+def figure_trial(fit: FitResult, trial: TrialResult, bars: Bars | None = None) -> Figure:
+    """Draw the channels of a trial in a row for paper, the residual of the best set below each."""
+    shown = [c for c in range(len(fit.channels)) if trial.valid[:, c].any()] or [0]
+    # Fixed margins: laying out ten axes automatically takes longer than drawing them.
+    figure = Figure(figsize=(max(5.0, 2.05 * len(shown)), 2.35))
+    cells = figure.add_gridspec(
+        2, len(shown), left=0.06, right=0.99, top=0.9, bottom=0.15, hspace=0.12, wspace=0.42,
+        height_ratios=(2.2, 1.0),
+    )  # fmt: skip
+    for k, c in enumerate(shown):
+        top = figure.add_subplot(cells[0, k])
+        bottom = figure.add_subplot(cells[1, k], sharex=top)
+        _draw_pair(top, bottom, fit, trial, c, bars or {})
+        name, unit, _ = display_of(fit, c)
+        # Beside each other there is room for labels above alone.
+        top.set_title(axis_label(name, unit), fontsize=7.5, loc="left")
+        top.set_title(percent_text(float(trial.nrmse[0, c])), fontsize=7.5, loc="right")
+        for axes in (top, bottom):
+            axes.set_ylabel("")
+            axes.tick_params(labelsize=6.5)
+        top.tick_params(labelbottom=False)
+        bottom.set_xlabel("time in the window [s]", fontsize=7)
     return figure
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -25,10 +25,19 @@ from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import record_lines, run_record
 from sysid.parameter_sets import in_place_of_digits
 from sysid.parameters import in_words
-from sysid.report.drawing import USES, display_of, percent_text
+from sysid.report.answer import (
+    Reopened,
+    counts,
+    grouped_warnings,
+    header,
+    next_step,
+    over_noise,
+    parameter_table,
+    predicted_over_noise,
+)
+from sysid.report.drawing import USES, percent_text
 from sysid.report.fit_figures import (
     Bars,
-    figure_channel,
     figure_convergence,
     figure_correlation,
     figure_measured_against_simulated,
@@ -36,6 +45,7 @@ from sysid.report.fit_figures import (
     figure_profile,
     figure_spectrum,
     figure_spread,
+    figure_trial,
     figure_waterfall,
     filter_gain,
     legend_of,
@@ -45,6 +55,7 @@ from sysid.report.html import (
     NOTHING,
     Html,
     bullets,
+    columns,
     definitions,
     heading,
     joined,
@@ -57,14 +68,14 @@ from sysid.report.html import (
     side_by_side,
     unfoldable,
 )
+from sysid.report.plots import interactive
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
-from sysid.report.trust_tables import interval_table, narrow_table, validation_table, verdict_words
+from sysid.report.traces import trial_view
+from sysid.report.trust_tables import narrow_table, validation_table, verdict_words
 from sysid.trust import documents
 from sysid.types import FloatArray
 
 Content = TypeVar("Content", bound=Callable[..., Html])
-# Panels of channels beyond which a page draws them as pixels: vectors of 40 take 2 MB.
-_MOST_VECTORS = 60
 _COUNTS = (
     "no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve",
 )  # fmt: skip
@@ -82,20 +93,26 @@ def titled(title: str, text: str = "") -> Callable[[Content], Content]:
 
 @dataclass(frozen=True, eq=False)
 class FitReport:
-    """A fit, its folder, and perhaps the same sets on trials of another campaign, ready to be shown."""
+    """A fit and its folder, ready to be shown.
+
+    `against` are perhaps the same sets on trials of another campaign, `known` is what the fit's own campaign
+    tells, and `beside` is the report of a second fit whose simulations are drawn beside the first one's.
+    """
 
     folder: Path
     fit: FitResult
     against: FitResult | None = None
+    known: Reopened = field(default_factory=Reopened)
+    beside: FitReport | None = None
 
     title: ClassVar[str] = "What the trials say"
     noun: ClassVar[str] = "trial"
     # What else the figures of measured and simulated signals show.
     about_signals: ClassVar[str] = ""
-    # Methods in the order of the page.
-    sections: ClassVar[tuple[str, ...]] = (
-        "parameters", "measured_against_simulated", "trial_errors", "convergence", "spread", "profiles",
-        "correlation", "validation", "filter_response", "provenance",
+    # Methods in the order of the page; two of them side by side in a wide window.
+    sections: ClassVar[tuple[str | tuple[str, str], ...]] = (
+        "parameters", "measured_against_simulated", ("trial_errors", "validation"), ("convergence", "spread"),
+        ("profiles", "correlation"), ("filter_response", "provenance"),
     )  # fmt: skip
 
     # What a kind may add.
@@ -121,21 +138,36 @@ class FitReport:
         """Return the motion that a film shows; raise an ExportError where there is none."""
         raise ExportError(f"{self.fit.name}: a {self.fit.kind} makes no drops; films show landing gears")
 
+    def sketch(self) -> Html:
+        """Return the model drawn small; nothing where there is no picture of it."""
+        return NOTHING
+
     # The page.
 
     def page(self) -> str:
         """Return the report as one page of HTML."""
-        top = heading(self.title, 1) + self.verdict()
-        return page(f"sysid: {self.fit.name}", top + joined([self.section(t) for t in self.section_titles()]))
+        out = self.answer()
+        for row in self.sections:
+            pieces = [self._section(name) for name in ((row,) if isinstance(row, str) else row)]
+            out += columns(*pieces) if len(pieces) == 2 else pieces[0]
+        return page(f"sysid: {self.fit.name}", out)
 
-    def section_titles(self) -> list[str]:
+    @classmethod
+    def section_titles(cls) -> list[str]:
         """Return the headings in their order."""
-        return [getattr(self, name).title for name in self.sections]
+        return [getattr(cls, name).title for name in cls._names()]
 
     def section(self, title: str) -> Html:
         """Return a section by its title: heading, text and content."""
-        content = getattr(self, self.sections[self.section_titles().index(title)])
-        return heading(title) + (paragraph(content.text) if content.text else NOTHING) + content()
+        return self._section(self._names()[self.section_titles().index(title)])
+
+    @classmethod
+    def _names(cls) -> list[str]:
+        return [name for row in cls.sections for name in ((row,) if isinstance(row, str) else row)]
+
+    def _section(self, name: str) -> Html:
+        content = getattr(self, name)
+        return heading(content.title) + (paragraph(content.text) if content.text else NOTHING) + content()
 
     # The content of the fit and its folder.
 
@@ -183,14 +215,28 @@ class FitReport:
 
     # The sections' contents.
 
+    def answer(self) -> Html:
+        """Return what a reader wants first: one word, three figures, the next step; warnings by finding."""
+        predicted = predicted_over_noise(
+            self.validations, self.known.held_out, f"sysid cross-validate {self.folder}"
+        )
+        tiles = (
+            over_noise(self.fit),
+            predicted,
+            counts(self.trust["parameters"] if self.trust else None, f"sysid trust {self.folder}"),
+        )
+        following = next_step(self.fit, self.trust, predicted[0] != "not known", str(self.folder))
+        return header(self.title, self.fit, tiles, following, self.sketch()) + self.verdict()
+
     def verdict(self) -> Html:
-        """Return the verdict in one paragraph, and the warnings."""
-        out = Html(f'<div class="verdict">{paragraph(" ".join(self.sentences())).text}</div>')
+        """Return the verdict in sentences, and the warnings by what was found."""
+        out = unfoldable("The verdict in sentences", paragraph(" ".join(self.sentences())))
         warnings = self.warnings()
         if warnings:
+            findings = [each for fit in self.fits for each in fit.provenance.get("findings", ())]
             count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
-            out += unfoldable(count, bullets(warnings, "warnings"), opened=len(warnings) <= 4)
-        return out
+            out += unfoldable(count, grouped_warnings(warnings, findings))
+        return columns(out, NOTHING)
 
     def sentences(self) -> list[str]:
         """Return the verdict: how well the sets fit and predict, and what the data determine."""
@@ -235,7 +281,7 @@ class FitReport:
     def _determined(self) -> list[str]:
         fit, out = self.fit, []
         if fit.agreement.unfinished:
-            out.append("The search was not finished: nothing is known about what the data determine.")
+            out.append("The search was not finished: nothing is known about what the data identify.")
             if self.trust is None:
                 return out
         named = {record.name: in_words(record) for record in fit.parameters}
@@ -245,13 +291,13 @@ class FitReport:
                 groups.setdefault(row["verdict"], []).append(named[row["name"]])
             parts = [f"{verdict_words(verdict)}: {', '.join(names)}" for verdict, names in groups.items()]
             where = "around the unfinished best set" if out else "by profile"
-            return [*out, f"What the data determine, {where}: {'; '.join(parts)}."]
+            return [*out, f"What the data identify, {where}: {'; '.join(parts)}."]
         opened = [named[name] for name in self.open_parameters]
         closed = [named[r.name] for r in fit.parameters if r.status == "free" and named[r.name] not in opened]
         if closed and fit.provenance.get("adequacy", {}).get("verdict") != NOT_BY:
-            out.append(f"The data determine {', '.join(closed)}.")
+            out.append(f"The data identify {', '.join(closed)}.")
         if opened:
-            out.append(f"They do not determine {', '.join(opened)}: digits of that mean nothing.")
+            out.append(f"They do not identify {', '.join(opened)}: digits of that mean nothing.")
         flagged = sorted({fit.parameters[i].name for i in np.flatnonzero((fit.at_bound != 0).any(axis=0))})
         if flagged:
             out.append(f"Sets end at a bound in {', '.join(named[name] for name in flagged)}.")
@@ -281,20 +327,18 @@ class FitReport:
         free = [record.name for record in fit.parameters if record.status == "free"]
         return tuple(name for name in free if name in wide or in_place_of_digits(fit.settings, name))
 
-    @titled(
-        "Parameters",
-        "Identified values first, set by set; then their mean and spread over the runs, next to what was "
-        "measured independently and the bounds of the search, in the layout of the paper's Tables I and II.",
-    )
+    @titled("Parameters")
     def parameters(self) -> Html:
-        """Return the tables of parameters: sets, the layout of Tables I and II, intervals."""
-        sets = self.fit.parameter_sets()
-        opened = self.open_parameters
-        out = markup_table(ranked_table(sets, opened)) + markup_table(mean_sigma_table(sets, unfixed=opened))
+        """Return the table of parameters, and folded the five sets and the layout of Tables I and II."""
+        sets, opened = self.fit.parameter_sets(), self.open_parameters
+        out = markup_table(parameter_table(self.fit, self.trust, self.known.truth))
         if self.trust is None:
-            return out + self.missing("profile intervals and verdicts", "sysid trust")
-        more = unfoldable("68 % intervals", markup_table(narrow_table(self.trust)))
-        return out + markup_table(interval_table(self.trust)) + more
+            out += self.missing("intervals and verdicts", "sysid trust")
+        else:
+            out += unfoldable("68 % intervals", markup_table(narrow_table(self.trust)), printed=False)
+        tables = markup_table(mean_sigma_table(sets, unfixed=opened))
+        out += unfoldable("Mean and spread of the runs (Tables I and II)", tables, printed=False)
+        return out + unfoldable("The sets", markup_table(ranked_table(sets, opened)), printed=False)
 
     @titled(
         "Errors",
@@ -306,26 +350,43 @@ class FitReport:
         scored = [trial_table(f.parameter_sets()) for f in self.fits if f.trials]
         return joined([markup_table(each) for each in (*scored, *judged)])
 
-    @titled(
-        "Measured and simulated",
-        "Dots or a black line: measured, filtered as the campaign says. Orange: the best set.",
-    )
+    @titled("Measured and simulated")
     def measured_against_simulated(self) -> Html:
-        """Return every trial's channels, folded but for the first of each use."""
-        bars = [self.bars(fit, trial) for fit in self.fits for trial in fit.trials]
-        names = list(dict.fromkeys(name for trial in bars for name in trial))
-        out = paragraph(self.about_signals) if self.about_signals else NOTHING
-        out += legend(legend_of(self.fit, self.fit.trials, names))
-        seen = set()
-        vector = len(self.trials) * len(self.fit.channels) <= _MOST_VECTORS
-        for fit in self.fits:
-            for trial in fit.trials:
-                shown = [c for c in range(len(fit.channels)) if trial.valid[:, c].any()]
-                panels = [self._channel(fit, trial, c, vector) for c in shown]
-                panels += self.more_panels(fit, trial)
-                out += unfoldable(self._title(fit, trial), side_by_side(panels), opened=trial.use not in seen)
-                seen.add(trial.use)
-        return out
+        """Return every trial's channels: to be touched, and as figures for paper."""
+        views, figures = [], NOTHING
+        bars = {(fit is self.against, trial.name): self.bars(fit, trial) for fit, trial in self._each()}
+        names = list(dict.fromkeys(name for each in bars.values() for name in each))
+        for fit, trial in self._each():
+            marks, title = bars[fit is self.against, trial.name], self._title(fit, trial)
+            other = self.beside.fit if self.beside is not None and fit is self.fit else None
+            known = self.known if fit is self.fit else Reopened()
+            views.append(trial_view(fit, trial, (self.key(fit, trial), title), marks, known, other))
+            words = f"{title}: measured and simulated channels over time, with residuals"
+            figures += picture(figure_trial(fit, trial, marks), words, title)
+        if not views:
+            return paragraph("No trials are in this fit.", "note")
+        out = interactive(
+            views, "measured and simulated", legend(legend_of(self.fit, self.fit.trials, names)) + figures,
+            noun=self.noun, chosen=self._first(),
+        )  # fmt: skip
+        more = [
+            unfoldable(self._title(fit, trial), side_by_side(panels), printed=False)
+            for fit, trial in self._each()
+            if (panels := self.more_panels(fit, trial))
+        ]
+        about = paragraph(self.about_signals, "note") if self.about_signals else NOTHING
+        return out + about + joined(more)
+
+    def _each(self) -> list[tuple[FitResult, TrialResult]]:
+        return [(fit, trial) for fit in self.fits for trial in fit.trials]
+
+    def key(self, fit: FitResult, trial: TrialResult) -> str:
+        """Return what ties the traces of a trial to its animation."""
+        return f"{'against ' if fit is self.against else ''}{fit.name}: {trial.name}"
+
+    def _first(self) -> int:
+        """Return which trial a page shows first."""
+        return 0
 
     @titled(
         "Convergence",
@@ -449,7 +510,8 @@ class FitReport:
             ("candidates", f"{totals['candidates']}, {totals['failed']} failed"),
             ("computed in", f"{totals['wall_time']:.0f} s of runs"),
         ]
-        whole = unfoldable("the whole record", preformatted("\n".join(record_lines(record))))
+        lines = preformatted("\n".join(record_lines(record)))
+        whole = unfoldable("the whole record", lines, printed=False)
         return definitions(rows, "where it comes from") + whole
 
     def figures(self) -> dict[str, Figure]:
@@ -484,14 +546,6 @@ class FitReport:
         """Return the line that names the command which computes a missing part."""
         what = f"{what[:1].upper()}{what[1:]}"
         return paragraph(f"{what}: not computed; run {command} {self.folder}{arguments}", "note")
-
-    def _channel(self, fit: FitResult, trial: TrialResult, c: int, vector: bool) -> Html:
-        bars = self.bars(fit, trial)
-        name, unit, _ = display_of(fit, c)
-        nrmse = percent_text(float(trial.nrmse[0, c]))
-        words = f"{trial.name}, {name.strip('$')} in {unit}: measured and simulated over time, NRMSE {nrmse}"
-        words += "".join(f"; {bar}: {len(intervals)} ×" for bar, intervals in bars.items())
-        return picture(figure_channel(fit, trial, c, bars=bars), words, vector=vector)
 
     def _title(self, fit: FitResult, trial: TrialResult) -> str:
         mean = percent_text(float(trial_means(fit, trial)[0]))

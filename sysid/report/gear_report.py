@@ -11,12 +11,13 @@ from matplotlib.figure import Figure
 from sysid.errors import ExportError
 from sysid.fit.result import FitResult, TrialResult
 from sysid.gear.surfaces import SURFACES, Surface
-from sysid.report.animation import animation
+from sysid.report.animation import Scene, animation, steepest
 from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
 from sysid.report.drop_replay import FEET, DropReplay, replay_drop
 from sysid.report.fit_figures import Bars
 from sysid.report.fit_report import FitReport, titled
 from sysid.report.html import NOTHING, Html, paragraph, picture
+from sysid.report.sketches import gear_sketch
 from sysid.report.snapshots import figure_snapshots
 
 _LENGTHS = (
@@ -33,12 +34,13 @@ class GearReport(FitReport):
     title = "Landing gear: what the drops say"
     noun = "drop"
     about_signals = (
-        "The simulated signals have passed through the same filter. Bars at the bottom of each figure: the "
+        "Simulated signals have passed through the same filter as the measured ones. Bars at the bottom: the "
         "rear and the front foot of the best set's simulation are on the ground."
     )
     sections = (
-        "parameters", "diagram", "animation", "measured_against_simulated", "trial_errors", "convergence",
-        "spread", "profiles", "correlation", "validation", "modes", "filter_response", "provenance",
+        "parameters", ("measured_against_simulated", "animation"), ("trial_errors", "validation"),
+        ("convergence", "spread"), ("profiles", "correlation"), ("diagram", "modes"),
+        ("filter_response", "provenance"),
     )  # fmt: skip
 
     @property
@@ -104,8 +106,29 @@ class GearReport(FitReport):
             return paragraph(
                 "No animation: the fit lacks the states in which its drops start; fit again.", "note"
             )
-        names = [self.fits[other].name for other, _ in self.replays] if self.against is not None else ()
-        return animation(self.drops(), names) + self.snapshots()
+        scenes = []
+        for fit, trial in self._each():
+            if drop := self.replay(fit, trial):
+                replays = {fit.name: drop}
+                beside = self.beside if fit is self.fit else None
+                if isinstance(beside, GearReport) and (False, trial.name) in beside.replays:
+                    name = beside.fit.name
+                    name += " (second)" if name == fit.name else ""
+                    replays[name] = beside.replays[False, trial.name]
+                scenes.append(Scene(self.key(fit, trial), replays))
+        return animation(scenes, self.snapshots())
+
+    def _first(self) -> int:
+        drops = self.drops()
+        if not drops:
+            return 0
+        key = list(self.replays)[steepest(drops)]
+        return [(fit is self.against, trial.name) for fit, trial in self._each()].index(key)
+
+    def sketch(self) -> Html:
+        """Return the drone on its steepest slope."""
+        values = self.fit.parameter_sets().set_values()
+        return gear_sketch(values, max((drop.slope for drop in self.drops()), default=math.radians(_SLOPE)))
 
     def snapshots(self) -> Html:
         """Return the instants (1) to (4) of Fig. 7 of the steepest drop."""

@@ -12,6 +12,8 @@ import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from hashlib import sha256
+from importlib.resources import files
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader
@@ -60,9 +62,25 @@ def filled(template: str, **content: object) -> Html:
 
 
 def page(title: str, body: Html) -> str:
-    """Return a page that needs nothing else; its second-level headings become the links above it."""
+    """Return a page that needs nothing else; its second-level headings become the links above it.
+
+    Its policy lets run the scripts that come with sysid, by their hashes, and no other.
+    """
     parts = [(identity, html.unescape(heading)) for identity, heading in _PART.findall(body.text)]
-    return filled("index.html.j2", title=title, version=sysid.__version__, parts=parts, body=body).text
+    plots = "data-plot>" in body.text
+    scripts = ["page.js", *(("uplot.min.js", "plots.js") if plots else ())]
+    scripts += ["animation.js"] if "data-animation>" in body.text else []
+    sources = [_source(name) for name in scripts]
+    hashes = [base64.b64encode(sha256(text.encode("utf-8")).digest()).decode("ascii") for text in sources]
+    style = (_source("uplot.min.css") if plots else "") + _source("page.css")
+    return filled(
+        "index.html.j2", title=title, version=sysid.__version__, parts=parts, body=body, style=Html(style),
+        scripts=[Html(text) for text in sources], policy=" ".join(f"'sha256-{each}'" for each in hashes),
+    ).text  # fmt: skip
+
+
+def _source(name: str) -> str:
+    return (files("sysid.report") / "page" / name).read_text(encoding="utf-8")
 
 
 def paragraph(text: str, kind: str = "") -> Html:
@@ -98,9 +116,16 @@ def side_by_side(pieces: Sequence[Html]) -> Html:
     return Html(f'<div class="grid">{joined(pieces).text}</div>') if pieces else NOTHING
 
 
-def unfoldable(summary: str, piece: Html, *, opened: bool = False) -> Html:
-    """Return a piece that a reader unfolds; printing shows it."""
-    state = " open" if opened else ""
+def columns(left: Html, right: Html) -> Html:
+    """Return two pieces beside each other in a wide window, such as tables and pictures."""
+    if not left.text or not right.text:
+        return left + right
+    return Html(f'<div class="columns"><div>{left.text}</div><div>{right.text}</div></div>')
+
+
+def unfoldable(summary: str, piece: Html, *, opened: bool = False, printed: bool = True) -> Html:
+    """Return a piece that a reader unfolds; printing shows it where it is `printed`."""
+    state = (" open" if opened else "") + ("" if printed else ' class="unprinted"')
     return Html(f"<details{state}><summary>{html.escape(summary)}</summary>{piece.text}</details>")
 
 

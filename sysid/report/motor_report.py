@@ -15,6 +15,7 @@ from sysid.report.fit_report import FitReport, titled
 from sysid.report.html import Html, definitions, markup_table, paragraph, picture, side_by_side
 from sysid.report.motor_figures import figure_thrust, reversal_commands
 from sysid.report.set_tables import ladder_table
+from sysid.report.sketches import motor_sketch
 from sysid.types import FloatArray
 
 # Reversals that a page draws.
@@ -34,6 +35,10 @@ class MotorReport(FitReport):
         "spread", "profiles", "correlation", "validation", "filter_response", "provenance",
     )  # fmt: skip
     model = "motor"
+
+    def sketch(self) -> Html:
+        """Return the circuit and the propeller."""
+        return motor_sketch()
 
     def more_panels(self, fit: FitResult, trial: TrialResult) -> list[Html]:
         """Return the thrust, which the fit does not compare."""

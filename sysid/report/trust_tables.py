@@ -39,8 +39,8 @@ _UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "spe
           "command": "of full"}  # fmt: skip
 # A channel with a smaller share of the information on a parameter is not named.
 _TELLS = 0.2
-_TONES: dict[str, Tone] = {"well": "good", "weakly": "doubtful"}
-_VERDICTS = {"well": "well determined", "weakly": "weakly determined"}
+TONES: dict[str, Tone] = {"well": "good", "weakly": "doubtful"}
+_VERDICTS = {"well": "well identifiable", "weakly": "weakly identifiable"}
 _OPEN = "≤ or ≥: open, the data do not end the interval inside the bounds of the search"
 
 
@@ -55,8 +55,9 @@ def verdict_words(verdict: str) -> str:
     return _VERDICTS.get(verdict, verdict.replace("_", " "))
 
 
-def _span(ends: Sequence[float] | None) -> str:
-    return NONE if ends is None else " to ".join(map(rounded, ends))
+def ends_of(ends: Sequence[float] | None) -> str:
+    """Return ``low to high``, one value where both are the same, or a dash."""
+    return NONE if ends is None else " to ".join(dict.fromkeys(map(rounded, ends)))
 
 
 def _name(header: str, key: str = "name") -> TableColumn:
@@ -65,15 +66,16 @@ def _name(header: str, key: str = "name") -> TableColumn:
 
 _PARAMETER = words("parameter", lambda row: name_and_unit(row["symbol"], row["unit"]))
 _VERDICT = words(
-    "verdict", lambda row: Cell(row["verdict"].replace("_", " "), _TONES.get(row["verdict"], "bad"))
+    "verdict", lambda row: Cell(row["verdict"].replace("_", " "), TONES.get(row["verdict"], "bad"))
 )
 
 
-def _partners(row: Row) -> str:
+def partners(row: Row) -> str:
+    """Return the two parameters that one trades with most, and the correlations."""
     return ", ".join(f"{p['name']} {p['correlation']:+.2f}" for p in row.get("partners", ())[:2]) or NONE
 
 
-_TRADES = words("trades with", _partners)
+_TRADES = words("trades with", partners)
 
 
 def interval_table(document: Row) -> Table:
@@ -104,8 +106,8 @@ def interval_table(document: Row) -> Table:
             numbers("half-width", lambda row: half_width(row["half_width"]), "%"),
             _VERDICT,
             _TRADES,
-            numbers("bootstrap 95 %", lambda row: _span(row["bootstrap_95"])) if drawn else None,
-            numbers("measured", lambda row: _span(row["measured"])) if measured else None,
+            numbers("bootstrap 95 %", lambda row: ends_of(row["bootstrap_95"])) if drawn else None,
+            numbers("measured", lambda row: ends_of(row["measured"])) if measured else None,
         ),
         "; ".join([*_open_note(rows, 95), *at_bound]),
     )
@@ -328,8 +330,8 @@ def check_lines(document: Row) -> list[str]:
     spans = []
     for name, value in document["excitation"].items():
         word, unit = name.removesuffix("_deg").replace("_", " "), _UNITS.get(name, "")
-        span = f"{value[0]:.3g} to {value[1]:.3g}" if isinstance(value, list) else f"{value}"
-        spans.append(f"{word} {span} {unit}".rstrip())
+        ends = f"{value[0]:.3g} to {value[1]:.3g}" if isinstance(value, list) else f"{value}"
+        spans.append(f"{word} {ends} {unit}".rstrip())
     return [*out, f"excitation: {', '.join(spans)}"]
 
 

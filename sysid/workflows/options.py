@@ -368,6 +368,7 @@ class ReportOptions:
     against: Annotated[
         Path | None, Flag("Campaign with other trials, which the sets predict.", read=_campaign_named)
     ] = None
+    compare: Annotated[Path | None, Flag("Second fit, drawn beside this one.")] = None
     figure: Annotated[Path | None, Flag("Write every figure as PDF to this folder.", panel=_OUTPUT)] = None
     gif: Annotated[
         Path | None, Flag("Write a film of a drop, in 10 × slow motion, as GIF.", panel=_OUTPUT)

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.text import Text
 
 from sysid import exact_json
-from sysid.errors import ExportError, SysidError
+from sysid.errors import ExportError, FitError, SysidError
 from sysid.fit.store import fit_folder, read_fit
-from sysid.journal import Say
+from sysid.journal import Journal, Say
+from sysid.report.answer import Reopened
 from sysid.report.drawing import save_figure
 from sysid.report.fit_report import FitReport
 from sysid.report.snapshots import check_film, write_film
 from sysid.storage import write_file
-from sysid.trust.documents import with_intervals
+from sysid.synthetic.folder import read_truth
+from sysid.trust import documents
+from sysid.types import FloatArray
 from sysid.workflows.kinds import find_report
 from sysid.workflows.options import ReportOptions
-from sysid.workflows.predict import predicted_fit
+from sysid.workflows.predict import predict, predicted_fit
+from sysid.workflows.reopen import open_fit
 
 
 def open_report(fit: str | Path, against: str | Path | None = None) -> FitReport:
@@ -29,9 +37,72 @@ def open_report(fit: str | Path, against: str | Path | None = None) -> FitReport
     Raises `FitError` when there is no fit.
     """
     folder = fit_folder(Path(fit))
-    result = with_intervals(read_fit(fit), folder)
+    result = documents.with_intervals(read_fit(fit), folder)
     report: FitReport = find_report(result.kind)(folder, result, read_fit(against) if against else None)
     return report
+
+
+# Deviance at the ends of a 95 % interval (chi-square, one freedom).
+_AT_END = 3.841459
+
+
+def reopened(report: FitReport) -> Reopened:
+    """Return what the campaign of a fit tells, where it still lies where it was; else nothing.
+
+    The band is of the parameter sets at the ends of every 95 % interval, found between two points of its
+    profile: each keeps one parameter at an end while all others are fitted again.
+    """
+    try:
+        with Journal():
+            opened = open_fit(report.folder, None, 1)
+            predicted = predict(report.fit, opened.whole)
+            band = _band(report, opened.whole.space.names, predicted.problem)
+            problem, rows = predicted.problem, predicted.rows
+            noise = dict(zip(problem.names, problem.floor_by_channel(rows[0]), strict=True))
+            floor = problem.floor_by_channel(rows[0])
+            held_out = {
+                trial.name: float(predicted.judge(t, slice(None), floor).ratio)
+                for t, trial in enumerate(problem.trials)
+                if trial.use == "validate"
+            }
+    except (SysidError, OSError):
+        return Reopened()
+    truth: dict[str, float] = {}
+    with suppress(SysidError):
+        truth = dict(read_truth(opened.path)["parameters"])
+    return Reopened(band, noise, held_out, truth)
+
+
+def _band(report: FitReport, names: Sequence[str], problem: Any) -> dict[str, tuple[FloatArray, FloatArray]]:
+    if report.trust is None:
+        return {}
+    arrays, fit = documents.read_arrays(report.folder, documents.TRUST), report.fit
+    ends = []
+    for row in report.trust["parameters"]:
+        path = f"profiles/{row['name']}"
+        if f"{path}/others" not in arrays:
+            continue
+        deviance, others = arrays[f"{path}/deviance"], arrays[f"{path}/others"]
+        least = int(np.argmin(deviance))
+        for side in (slice(least, None, -1), slice(least, None)):
+            inside = np.flatnonzero(deviance[side] > _AT_END)
+            if not len(inside):
+                ends.append(others[side][-1])
+                continue
+            k = int(inside[0])
+            low, high = deviance[side][k - 1 : k + 1]
+            share = (_AT_END - low) / (high - low)
+            ends.append(others[side][k - 1] + share * (others[side][k] - others[side][k - 1]))
+    if not ends:
+        return {}
+    columns = [[record.name for record in fit.parameters].index(name) for name in names]
+    values = np.repeat(fit.values[:1], len(ends), axis=0)
+    values[:, columns] = ends
+    # Derived parameters follow from the free ones and are not read.
+    signals = problem.predict(problem.adopt(fit, values)).signals
+    with np.errstate(invalid="ignore"):
+        bounds = [(np.nanmin(each, axis=0), np.nanmax(each, axis=0)) for each in signals]
+    return dict(zip(problem.names, bounds, strict=True))
 
 
 def write_report(
@@ -49,6 +120,10 @@ def write_report(
     if options.against is not None:
         tell(f"simulating the trials of {options.against} with the sets of {report.fit.name}")
         report = replace(report, against=predicted_fit(report.fit, options.against))
+    if options.compare is not None:
+        report = replace(report, beside=_beside(report, options.compare))
+    tell(f"simulating the ends of the intervals of {report.fit.name}")
+    report = replace(report, known=reopened(report))
     tell(f"drawing the figures of {report.fit.name}")
     write_file(out, report.page().encode("utf-8"), ExportError)
     written = {"report": out}
@@ -60,6 +135,23 @@ def write_report(
         tell(f"drawing {path}")
         written[path.suffix[1:].lower()] = write_film(report.film(options.drop), path, force=options.force)
     return written
+
+
+def _beside(report: FitReport, folder: Path) -> FitReport:
+    """Return the report of a second fit; a FitError where it shares no trial with the first one."""
+    other = open_report(folder)
+    if other.fit.kind != report.fit.kind:
+        raise FitError(
+            f"{folder}: is a {other.fit.kind} fit and {report.folder} a {report.fit.kind} fit; "
+            "--compare needs two fits of one kind"
+        )
+    names = [trial.name for trial in report.fit.trials]
+    if not any(trial.name in names for trial in other.fit.trials):
+        raise FitError(
+            f"{folder}: shares no trial with {report.folder} ({', '.join(names)}); --compare draws the "
+            "trials that both fits have"
+        )
+    return other
 
 
 def print_report(folder: str | Path, options: ReportOptions, json: bool, say: Say) -> None:

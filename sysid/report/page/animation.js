@@ -1,167 +1,254 @@
 (function () {
   "use strict";
-  const root = document.currentScript.parentElement;
-  const drops = JSON.parse(root.querySelector('script[type="application/json"]').textContent).drops;
-  const canvas = root.querySelector("canvas");
-  const part = (name) => root.querySelector('[data-do="' + name + '"]');
-  const play = part("play"), seek = part("seek"), clock = part("clock"), instants = part("instants");
-  const calm = window.matchMedia && window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-  const blue = "#0072B2", red = "#D55E00", ghostly = "#9a9a9a";
-  let drop, time = 0, playing = false, last = null, timer = null, view, force;
+  document.documentElement.classList.add("scripted");
+  const css = (name) => getComputedStyle(document.documentElement).getPropertyValue("--c-" + name).trim();
+  const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const dark = matchMedia("(prefers-color-scheme: dark)");
 
-  function choose(index) {
-    drop = drops[index];
-    drop.length = (drop.frames.length - 1) * drop.step;
-    let low = [1e9, 1e9], high = [-1e9, -1e9];
-    force = 1;
-    for (const f of drop.frames) {
-      for (let i = 0; i < 2; i++) {
-        low[i] = Math.min(low[i], f[i]);
-        high[i] = Math.max(high[i], f[i]);
+  function animate(root) {
+    const drops = JSON.parse(root.querySelector('script[type="application/json"]').textContent).drops;
+    const part = (name) => root.querySelector('[data-do="' + name + '"]');
+    const play = part("play"), seek = part("seek"), clock = part("clock"), marks = part("marks"), scenes = root.querySelector(".scenes");
+    const words = scenes.querySelector("canvas").getAttribute("aria-label");
+    let drop, time = 0, playing = false, last = null, timer = null, canvases = [], newton, colours;
+
+    function choose(index) {
+      drop = drops[index];
+      part("drop").value = String(index);
+      drop.length = (drop.fits[0].frames.length - 1) * drop.step;
+      newton = 1;
+      for (const fit of drop.fits) for (const f of fit.frames) newton = Math.max(newton, f[11], f[12]);
+      seek.max = String(Math.round(drop.length * 1000));
+      scenes.classList.toggle("two", drop.fits.length > 1);
+      while (scenes.children.length > drop.fits.length) scenes.lastChild.remove();
+      while (scenes.children.length < drop.fits.length) scenes.append(document.createElement("canvas"));
+      canvases = [...scenes.children];
+      canvases.forEach(function (canvas, k) {
+        canvas.tabIndex = 0;
+        canvas.setAttribute("role", "img");
+        canvas.setAttribute("aria-label", drop.fits.length > 1 ? drop.fits[k].name + ". " + words : words);
+        canvas.onkeydown = key;
+      });
+      marks.replaceChildren();
+      const place = (t) => (100 * t) / drop.length + "%";
+      for (const [foot, start, end] of drop.contacts) {
+        const bar = document.createElement("i");
+        bar.style.left = place(start);
+        bar.style.width = (100 * (end - start)) / drop.length + "%";
+        bar.style.top = foot ? "6px" : "0";
+        bar.style.background = "var(--c-" + (foot ? "pink" : "green") + ")";
+        marks.append(bar);
       }
-      force = Math.max(force, f[11], f[12]);
+      drop.snapshots.forEach(function (shot, k) {
+        const button = document.createElement("button");
+        button.type = "button";
+        button.textContent = String(k + 1);
+        button.title = shot[1];
+        button.style.left = place(shot[0]);
+        button.setAttribute("aria-label", "go to instant " + (k + 1) + ": " + shot[1]);
+        button.addEventListener("click", function () { stop(); go(shot[0] + 0.004); });
+        marks.append(button);
+      });
+      spread();
+      go(0, false);
     }
-    view = { x: (low[0] + high[0]) / 2, z: (low[1] + high[1]) / 2,
-      width: high[0] - low[0] + 5600, height: high[1] - low[1] + 4200 };
-    seek.max = String(Math.round(drop.length * 1000));
-    instants.replaceChildren();
-    drop.snapshots.forEach(function (shot, k) {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.textContent = "(" + (k + 1) + ")";
-      button.title = shot[1];
-      button.setAttribute("aria-label", "go to instant " + (k + 1) + ": " + shot[1]);
-      button.addEventListener("click", function () { stop(); go(shot[0] + 0.004); });
-      instants.appendChild(button);
-    });
-    go(0);
-  }
 
-  function go(t) {
-    time = Math.max(0, Math.min(drop.length, t));
-    seek.value = String(Math.round(time * 1000));
-    const said = Math.round(time * 1000) + " ms";
-    clock.textContent = said;
-    seek.setAttribute("aria-valuetext", said);
-    root.dataset.time = time.toFixed(4);
-    draw();
-  }
-
-  function stop() {
-    playing = false;
-    last = null;
-    if (timer) { clearTimeout(timer); timer = null; }
-    play.textContent = "Play";
-    root.dataset.playing = "no";
-  }
-
-  function start() {
-    if (time >= drop.length - 1e-6) go(0);
-    playing = true;
-    play.textContent = "Pause";
-    root.dataset.playing = "yes";
-    if (calm) step(); else requestAnimationFrame(tick);
-  }
-
-  function tick(now) {
-    if (!playing) return;
-    if (last !== null) go(time + (now - last) / 1000 / Number(part("speed").value));
-    last = now;
-    if (time >= drop.length) stop(); else requestAnimationFrame(tick);
-  }
-
-  function step() {
-    if (!playing) return;
-    const next = drop.snapshots.map((shot) => shot[0] + 0.004).find((t) => t > time + 1e-6);
-    if (next === undefined) { go(drop.length); stop(); return; }
-    go(next);
-    timer = setTimeout(step, 1500);
-  }
-
-  function draw() {
-    const width = canvas.clientWidth || 600, height = Math.round(width * (width < 600 ? 0.75 : 0.5));
-    const ratio = window.devicePixelRatio || 1;
-    if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
-    if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
-    canvas.style.height = height + "px";
-    const c = canvas.getContext("2d");
-    c.setTransform(ratio, 0, 0, ratio, 0, 0);
-    c.clearRect(0, 0, width, height);
-    const k = Math.min(width / view.width, height / view.height);
-    const X = (x) => width / 2 + (x - view.x) * k, Z = (z) => height / 2 - (z - view.z) * k;
-    const line = function (x0, z0, x1, z1) { c.beginPath(); c.moveTo(X(x0), Z(z0)); c.lineTo(X(x1), Z(z1)); c.stroke(); };
-    const along = [Math.cos(drop.slope), -Math.sin(drop.slope)], up = [-along[1], along[0]];
-    c.beginPath();
-    for (const [a, b] of [[-4e4, 0], [4e4, 0], [4e4, -4e4], [-4e4, -4e4]]) {
-      c.lineTo(X(a * along[0] + b * up[0]), Z(a * along[1] + b * up[1]));
+    /* Instants that are close to each other keep their order and stay apart. */
+    function spread() {
+      const buttons = [...marks.querySelectorAll("button")], wide = marks.clientWidth, apart = 26;
+      let least = -1e9;
+      const places = buttons.map((b, k) => (least = Math.max(least + apart, (wide * drop.snapshots[k][0]) / drop.length)));
+      const over = places.length ? Math.max(0, places[places.length - 1] - wide) : 0;
+      buttons.forEach((b, k) => { b.style.left = places[k] - over + "px"; });
     }
-    c.closePath();
-    c.fillStyle = "#E9E2D3"; c.fill();
-    c.strokeStyle = "#8C7A5B"; c.lineWidth = 1.5; c.stroke();
-    const at = time / drop.step, i = Math.min(Math.floor(at), drop.frames.length - 1);
-    const j = Math.min(i + 1, drop.frames.length - 1), share = at - i;
-    const f = drop.frames[i].map((value, n) => value + share * (drop.frames[j][n] - value));
-    const shape = function (x, z, q, legs, colour, width) {
-      const s = Math.sin(q / 1e4), o = Math.cos(q / 1e4);
-      const P = (a, b) => [x + a * o + b * s, z - a * s + b * o];
-      c.strokeStyle = colour; c.lineWidth = width; c.lineCap = "round";
-      for (const leg of legs(P)) {
-        line(leg[0], leg[1], leg[2], leg[3]);
-        const out = (leg[0] - x) * o - (leg[1] - z) * s;
-        line(...P(out, 0), leg[0], leg[1]);
-        c.beginPath(); c.arc(X(leg[2]), Z(leg[3]), width + 0.8, 0, 7); c.fillStyle = colour; c.fill();
+
+    function go(t, told) {
+      time = Math.max(0, Math.min(drop.length, t));
+      seek.value = String(Math.round(time * 1000));
+      const said = Math.round(time * 1000) + " ms";
+      clock.textContent = said;
+      seek.setAttribute("aria-valuetext", said);
+      root.dataset.time = time.toFixed(4);
+      draw();
+      if (told !== false) document.dispatchEvent(new CustomEvent("sysid-time", { detail: { key: drop.key, time, from: root } }));
+    }
+
+    function stop() {
+      playing = false;
+      last = null;
+      if (timer) { clearTimeout(timer); timer = null; }
+      play.textContent = "Play";
+      root.dataset.playing = "no";
+    }
+
+    function start() {
+      if (time >= drop.length - 1e-6) go(0);
+      playing = true;
+      play.textContent = "Pause";
+      root.dataset.playing = "yes";
+      if (calm) step(); else requestAnimationFrame(tick);
+    }
+
+    function tick(now) {
+      if (!playing) return;
+      if (last !== null) go(time + (now - last) / 1000 / Number(part("speed").value));
+      last = now;
+      if (time >= drop.length) stop(); else requestAnimationFrame(tick);
+    }
+
+    function step() {
+      if (!playing) return;
+      const next = drop.snapshots.map((shot) => shot[0] + 0.004).find((t) => t > time + 1e-6);
+      if (next === undefined) { go(drop.length); stop(); return; }
+      go(next);
+      timer = setTimeout(step, 1500);
+    }
+
+    function key(event) {
+      const keys = {
+        " ": () => (playing ? stop() : start()), ArrowLeft: () => { stop(); go(time - drop.step); }, ArrowRight: () => { stop(); go(time + drop.step); },
+        Home: () => { stop(); go(0); }, End: () => { stop(); go(drop.length); },
+      };
+      if (!keys[event.key] || event.ctrlKey || event.metaKey) return;
+      event.preventDefault();
+      keys[event.key]();
+    }
+
+    function at(fit, t) {
+      const place = t / drop.step, i = Math.min(Math.floor(place), fit.frames.length - 1), j = Math.min(i + 1, fit.frames.length - 1), share = place - i;
+      return fit.frames[i].map((value, n) => value + share * (fit.frames[j][n] - value));
+    }
+
+    function draw() {
+      colours = Object.fromEntries(["text", "ink", "best", "blue", "faint", "soil", "soil-edge", "body", "paper"].map((name) => [name, css(name)]));
+      canvases.forEach((canvas, k) => scene(canvas, drop.fits[k]));
+    }
+
+    function scene(canvas, fit) {
+      const width = canvas.clientWidth || 600, height = Math.round(width * (drop.fits.length > 1 ? 0.9 : 0.68)), ratio = devicePixelRatio || 1;
+      if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
+      if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
+      canvas.style.height = height + "px";
+      const c = canvas.getContext("2d"), f = at(fit, time), arm = fit.arm + 750, tall = fit.foot[1];
+      // The drone fills its canvas and the view follows it; without following, the whole movement is in view.
+      let x0 = f[0], z0 = f[1] - 0.3 * tall, k = Math.min(width / (2.35 * arm), height / (3.4 * tall));
+      if (!part("follow").checked) {
+        const xs = fit.frames.map((g) => g[0]), zs = fit.frames.map((g) => g[1]);
+        const box = [Math.min(...xs) - arm, Math.max(...xs) + arm, Math.min(...zs) - 1.3 * tall, Math.max(...zs) + 0.8 * tall];
+        x0 = (box[0] + box[1]) / 2; z0 = (box[2] + box[3]) / 2;
+        k = Math.min(width / (box[1] - box[0]), height / (box[3] - box[2]));
       }
-      line(...P(-drop.arm, 0), ...P(drop.arm, 0));
-      for (const side of [-1, 1]) {
-        line(...P(side * drop.arm, 0), ...P(side * drop.arm, 220));
-        line(...P(side * drop.arm - 750, 220), ...P(side * drop.arm + 750, 220));
-      }
+      root.dataset.filled = ((2 * arm * k) / width).toFixed(3);
+      c.setTransform(ratio, 0, 0, ratio, 0, 0);
+      c.clearRect(0, 0, width, height);
+      const X = (x) => width / 2 + (x - x0) * k, Z = (z) => height / 2 - (z - z0) * k;
+      const line = function (a, b, d, e) { c.beginPath(); c.moveTo(X(a), Z(b)); c.lineTo(X(d), Z(e)); c.stroke(); };
+      const along = [Math.cos(drop.slope), -Math.sin(drop.slope)], up = [-along[1], along[0]];
       c.beginPath();
-      for (const [a, b] of [[-550, -220], [550, -220], [550, 220], [-550, 220]]) { const p = P(a, b); c.lineTo(X(p[0]), Z(p[1])); }
+      for (const [a, b] of [[-4e4, 0], [4e4, 0], [4e4, -4e4], [-4e4, -4e4]]) c.lineTo(X(a * along[0] + b * up[0]), Z(a * along[1] + b * up[1]));
       c.closePath();
-      return P;
-    };
-    const rest = (P) => [-1, 1].map((side) => [...P(side * drop.joint[0], -drop.joint[1]), ...P(side * drop.foot[0], -drop.foot[1])]);
-    if (part("ghost").checked && f[15] < 8.9e4) {
-      shape(f[15], f[16], f[17], rest, ghostly, 1.2);
-      c.stroke();
-    }
-    c.setLineDash([3, 4]);
-    c.strokeStyle = "#777"; c.lineWidth = 1;
-    const s = Math.sin(f[2] / 1e4), o = Math.cos(f[2] / 1e4);
-    for (const leg of rest((a, b) => [f[0] + a * o + b * s, f[1] - a * s + b * o])) line(...leg);
-    c.setLineDash([]);
-    shape(f[0], f[1], f[2], () => [[f[3], f[4], f[7], f[8]], [f[5], f[6], f[9], f[10]]], "#333", 2.4);
-    c.fillStyle = "#ddd"; c.fill(); c.stroke();
-    for (const foot of [0, 1]) {
-      const x = f[7 + 2 * foot], z = f[8 + 2 * foot];
-      arrow(x, z, up, f[11 + foot], blue);
-      arrow(x, z, along, f[13 + foot], red);
-    }
-    c.fillStyle = "#222"; c.font = "13px sans-serif"; c.textBaseline = "top";
-    // The slope rises to the left: the right upper corner is free.
-    c.textAlign = "right";
-    c.fillText(drop.name + " (" + drop.use + ")", width - 8, 8);
-    c.fillText("rear " + Math.round(f[11]) + " N, front " + Math.round(f[12]) + " N", width - 8, 26);
+      c.fillStyle = colours.soil; c.fill();
+      c.strokeStyle = colours["soil-edge"]; c.lineWidth = 1.5; c.stroke();
+      // A mark on the slope every 10 cm shows that it passes by.
+      c.lineWidth = 1;
+      for (let m = -40; m <= 40; m++) line(1000 * m * along[0], 1000 * m * along[1], 1000 * m * along[0] - 110 * up[0], 1000 * m * along[1] - 110 * up[1]);
+      if (part("path").checked) {
+        track(fit.frames.map((g) => [g[0], g[1]]), colours.best);
+        track(drop.fits[0].frames.filter((g) => g[15] < 8.9e4).map((g) => [g[15], g[16]]), colours.faint);
+      }
+      const rest = (P) => [-1, 1].map((side) => [...P(side * fit.joint[0], -fit.joint[1]), ...P(side * fit.foot[0], -fit.foot[1])]);
+      const seen = at(drop.fits[0], time);
+      if (part("ghost").checked && seen[15] < 8.9e4) shape(seen[15], seen[16], seen[17], rest, colours.faint, 1.3, null);
+      c.setLineDash([3, 4]);
+      c.strokeStyle = colours.faint; c.lineWidth = 1;
+      const s = Math.sin(f[2] / 1e4), o = Math.cos(f[2] / 1e4);
+      for (const leg of rest((a, b) => [f[0] + a * o + b * s, f[1] - a * s + b * o])) line(...leg);
+      c.setLineDash([]);
+      shape(f[0], f[1], f[2], () => [[f[3], f[4], f[7], f[8]], [f[5], f[6], f[9], f[10]]], colours.ink, 2.6, colours.body);
+      c.beginPath(); c.arc(X(f[0]), Z(f[1]), 4, 0, 7); c.fillStyle = colours.best; c.fill();
+      // Forces to scale: the largest one of the drop is as long as a leg.
+      const scale = (0.95 * tall * k) / newton;
+      for (const foot of [0, 1]) {
+        const x = X(f[7 + 2 * foot]), z = Z(f[8 + 2 * foot]);
+        arrow(x, z, up, f[11 + foot] * scale, colours.blue);
+        arrow(x, z, along, f[13 + foot] * scale, colours.best);
+      }
+      legend();
 
-    function arrow(x, z, way, newton, colour) {
-      const size = 2200 * newton / force;
-      if (Math.abs(size) < 25) return;
-      const a = [X(x), Z(z)], b = [X(x + way[0] * size), Z(z + way[1] * size)];
-      const turn = Math.atan2(b[1] - a[1], b[0] - a[0]);
-      c.strokeStyle = c.fillStyle = colour; c.lineWidth = 2.4;
-      c.beginPath(); c.moveTo(a[0], a[1]); c.lineTo(b[0], b[1]); c.stroke();
-      c.beginPath(); c.moveTo(b[0], b[1]);
-      for (const side of [2.7, -2.7]) c.lineTo(b[0] + 9 * Math.cos(turn + side), b[1] + 9 * Math.sin(turn + side));
-      c.closePath(); c.fill();
+      function track(points, colour) {
+        c.strokeStyle = colour; c.lineWidth = 1.2; c.setLineDash([1, 3]);
+        c.beginPath();
+        for (const p of points) c.lineTo(X(p[0]), Z(p[1]));
+        c.stroke();
+        c.setLineDash([]);
+      }
+      function shape(x, z, q, legs, colour, thick, fill) {
+        const sine = Math.sin(q / 1e4), cosine = Math.cos(q / 1e4);
+        const P = (a, b) => [x + a * cosine + b * sine, z - a * sine + b * cosine];
+        c.strokeStyle = colour; c.lineWidth = thick; c.lineCap = "round";
+        for (const leg of legs(P)) {
+          line(leg[0], leg[1], leg[2], leg[3]);
+          const out = (leg[0] - x) * cosine - (leg[1] - z) * sine;
+          line(...P(out, 0), leg[0], leg[1]);
+          c.beginPath(); c.arc(X(leg[2]), Z(leg[3]), thick + 1, 0, 7); c.fillStyle = colour; c.fill();
+        }
+        line(...P(-fit.arm, 0), ...P(fit.arm, 0));
+        for (const side of [-1, 1]) {
+          line(...P(side * fit.arm, 0), ...P(side * fit.arm, 220));
+          line(...P(side * fit.arm - 750, 220), ...P(side * fit.arm + 750, 220));
+        }
+        c.beginPath();
+        for (const [a, b] of [[-550, -220], [550, -220], [550, 220], [-550, 220]]) { const p = P(a, b); c.lineTo(X(p[0]), Z(p[1])); }
+        c.closePath();
+        if (fill) { c.fillStyle = fill; c.fill(); }
+        c.stroke();
+      }
+      function arrow(x, z, way, size, colour) {
+        if (Math.abs(size) < 2) return;
+        const b = [x + way[0] * size, z - way[1] * size], turn = Math.atan2(b[1] - z, b[0] - x), head = Math.min(10, 0.6 * Math.abs(size));
+        c.strokeStyle = c.fillStyle = colour; c.lineWidth = 3;
+        c.beginPath(); c.moveTo(x, z); c.lineTo(b[0] - 0.7 * head * Math.cos(turn), b[1] - 0.7 * head * Math.sin(turn)); c.stroke();
+        c.beginPath(); c.moveTo(b[0], b[1]);
+        for (const side of [2.7, -2.7]) c.lineTo(b[0] + head * Math.cos(turn + side), b[1] + head * Math.sin(turn + side));
+        c.closePath(); c.fill();
+      }
+      function legend() {
+        // The slope rises to the left: the right upper corner is free.
+        c.font = "13px system-ui, sans-serif"; c.textBaseline = "middle"; c.textAlign = "right"; c.fillStyle = colours.text;
+        c.fillText((drop.fits.length > 1 ? fit.name + ", " : "") + drop.name + " (" + drop.use + ")", width - 10, 14);
+        c.fillText("rear " + Math.round(f[11]) + " N, front " + Math.round(f[12]) + " N", width - 10, 33);
+        const nice = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((n) => n * scale <= 90).pop() || 1;
+        const rows = [["normal force", colours.blue], ["friction", colours.best]];
+        rows.forEach(function ([text, colour], n) {
+          c.fillStyle = colours.text; c.textAlign = "right";
+          c.fillText(text, width - 10 - nice * scale - 8, 54 + 18 * n);
+          arrow(width - 10 - nice * scale, 54 + 18 * n, [1, 0], nice * scale, colour);
+        });
+        c.fillStyle = colours.text; c.fillText(nice + " N", width - 10, 90);
+        if (part("ghost").checked) { c.fillStyle = colours.faint; c.fillText("measured", width - 10, 108); }
+      }
     }
+
+    play.addEventListener("click", function () { if (playing) stop(); else start(); });
+    seek.addEventListener("input", function () { stop(); go(Number(seek.value) / 1000); });
+    part("drop").addEventListener("change", function (event) {
+      stop();
+      choose(Number(event.target.value));
+      document.dispatchEvent(new CustomEvent("sysid-view", { detail: { key: drop.key, from: root } }));
+    });
+    for (const name of ["ghost", "path", "follow"]) part(name).addEventListener("change", draw);
+    document.addEventListener("sysid-view", function (event) {
+      const k = drops.findIndex((each) => each.key === event.detail.key);
+      if (event.detail.from !== root && k >= 0 && drops[k] !== drop) { stop(); choose(k); }
+    });
+    document.addEventListener("sysid-time", function (event) {
+      if (event.detail.from === root || event.detail.key !== drop.key || playing) return;
+      go(event.detail.time, false);
+    });
+    new ResizeObserver(() => { spread(); draw(); }).observe(scenes);
+    dark.addEventListener("change", draw);
+    stop();
+    choose(Number(part("drop").value));
   }
-
-  play.addEventListener("click", function () { if (playing) stop(); else start(); });
-  seek.addEventListener("input", function () { stop(); go(Number(seek.value) / 1000); });
-  part("drop").addEventListener("change", function (event) { stop(); choose(Number(event.target.value)); });
-  part("ghost").addEventListener("change", draw);
-  window.addEventListener("resize", draw);
-  stop();
-  choose(Number(part("drop").value));
+  for (const root of document.querySelectorAll("[data-animation]")) animate(root);
 })();

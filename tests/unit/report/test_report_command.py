@@ -40,7 +40,7 @@ def test_notebooks_are_thin_stripped_and_take_parameters(path):
     if path.stem.startswith("fit-report-"):
         # The sections bring their own prose, so that page and notebook read alike.
         report = find_report(path.stem.split("-")[-1])
-        assert shown == [getattr(report, name).title for name in report.sections]
+        assert shown == report.section_titles()
     else:
         assert prose >= 4
     assert len({cell["id"] for cell in notebook["cells"]}) == len(notebook["cells"])

@@ -19,10 +19,10 @@ from sysid.fit.store import read_fit, write_fit
 from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
 from sysid.parameter_sets import ParameterRecord
 from sysid.report import diagrams, fit_report, gear_report, model_notes
-from sysid.report.animation import animation
+from sysid.report.animation import Scene, animation
 from sysid.report.drawing import as_math, thinned
 from sysid.report.drop_replay import START, DropReplay, leg_points, replay_drop
-from sysid.report.fit_figures import figure_channel, figure_spread, figure_waterfall
+from sysid.report.fit_figures import figure_spread, figure_trial, figure_waterfall
 from sysid.report.fit_report import FitReport
 from sysid.report.gear_report import GearReport
 from sysid.report.html import bullets, heading, markup_table, page, paragraph, picture, unfoldable
@@ -110,10 +110,11 @@ def test_symbols_are_set_as_formulas():
 @pytest.mark.parametrize("channels", [GEAR, MOTOR])
 def test_every_axis_of_a_channel_says_its_unit(channels):
     fit = made_fit(channels)
-    for c in range(len(fit.channels)):
-        axes = figure_channel(fit, fit.trials[0], c).axes
-        labels = [a.get_ylabel() for a in axes] + [axes[-1].get_xlabel()]
-        assert all(re.search(r"\[[^\]]+\]$", label) for label in labels), labels
+    axes = figure_trial(fit, fit.trials[0]).axes
+    labels = [signal.get_title(loc="left") for signal in axes[::2]]
+    labels += [axes.get_xlabel() for axes in axes[1::2]]
+    assert len(labels) == 2 * len(fit.channels)
+    assert all(re.search(r"\[[^\]]+\]$", label) for label in labels), labels
 
 
 def test_the_spread_shows_every_set_between_its_bounds():
@@ -255,11 +256,11 @@ def test_drops_of_one_name_keep_to_their_own_campaign(drop_fit, tmp_path, monkey
 
     seen = []
 
-    def watched(fit, trial, *_, bars):
+    def watched(fit, trial, bars):
         seen.append((fit is other, bars["rear foot down"][0][0]))
         return small_figure()
 
-    monkeypatch.setattr(fit_report, "figure_channel", watched)
+    monkeypatch.setattr(fit_report, "figure_trial", watched)
     monkeypatch.setattr(fit_report, "figure_measured_against_simulated", watched)
     expected = {(False, first.contacts[0].start), (True, second.contacts[0].start)}
     report.measured_against_simulated()
@@ -316,7 +317,7 @@ def test_the_options_of_the_animation_tell_the_drops_apart(drop_fit, tmp_path):
     options = re.findall(r"<option [^>]*>([^<]*drop-1[^<]*)</option>", report.animation().text)
     assert options == ["bench, drop-1: 15°, fitted", "other, drop-1: 15°, not fitted"]
     text = report.measured_against_simulated().text
-    assert re.findall(r"<summary>(.*?) \(", text) == ["drop-1", "other, drop-1"]
+    assert re.findall(r"<option [^>]*>(.*?) \(", text) == ["drop-1", "other, drop-1"]
 
 
 def test_snapshots_are_titled_with_the_instants_that_the_caption_names(drop_fit, drop, tmp_path):
@@ -338,12 +339,12 @@ def test_the_animation_holds_the_numbers_and_no_way_out_of_its_script(drop_fit):
     trial = replace(drop_fit.trials[0], name=NASTY)
     log = {NASTY: drop_fit.provenance["logs"]["drop-1"]}
     drop = replay_drop(replace(drop_fit, trials=(trial,), provenance={"logs": log}), trial)
-    text = animation([drop]).text
-    assert text.count("</script") == 2
+    text = animation([Scene("a", {"fit": drop})]).text
+    assert text.count("</script") == 1
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
     (document,) = data["drops"]
     assert document["name"] == NASTY
-    frames = np.array(document["frames"])
+    frames = np.array(document["fits"][0]["frames"])
     # Tenths of a millimetre and of a milliradian, rounded.
     np.testing.assert_allclose(frames[:, :3] / 1e4, drop.body[::2], atol=0.6e-4)
     np.testing.assert_allclose(frames[:, 7:11].reshape(-1, 2, 2) / 1e4, drop.feet[::2], atol=0.6e-4)
@@ -416,11 +417,11 @@ def cut_fit(cut=1):
 def test_an_unfinished_search_is_not_told_as_a_finding(tmp_path, cut):
     whole, fit = cut_fit(0), cut_fit(cut)
     sentences = " ".join(FitReport(tmp_path, whole).sentences())
-    assert "The data determine" in sentences
+    assert "The data identify" in sentences
     assert "of 3 independent runs" in sentences
     sentences = " ".join(FitReport(tmp_path, fit).sentences())
-    assert "The search was not finished: nothing is known about what the data determine." in sentences
-    for claim in ("The data determine", "do not determine", "independent runs", "optimum"):
+    assert "The search was not finished: nothing is known about what the data identify." in sentences
+    for claim in ("The data identify", "do not identify", "independent runs", "optimum"):
         assert claim not in sentences
     (axes,) = figure_waterfall(fit).axes
     names = axes.get_legend_handles_labels()[1]

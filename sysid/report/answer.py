@@ -1,0 +1,199 @@
+"""What a page says first: one word, three figures, the next step; then one table of what was found."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, ROUGHLY_BY
+from sysid.fit.result import FitResult
+from sysid.parameter_sets import in_place_of_digits
+from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
+from sysid.report.table import NONE, Cell, Table, Tone, interval, numbers, rounded, table, words
+from sysid.report.trust_tables import TONES, ends_of, partners, verdict_words
+from sysid.types import FloatArray
+
+_WORDS: dict[str, tuple[str, Tone]] = {
+    EXPLAINED_BY: ("explained", "good"),
+    ROUGHLY_BY: ("roughly", "doubtful"),
+    NOT_BY: ("not explained", "bad"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Reopened:
+    """What a report learns from the campaign of its fit, where that still lies where it was.
+
+    Parameters
+    ----------
+    band : mapping
+        (low, high), each (n, C) [channel units], by trial: the least and largest prediction of the parameter
+        sets at the ends of the 95 % intervals.
+    noise : mapping
+        (C,) noise of the measurement as compared [channel units], by trial.
+    held_out : mapping
+        Residual over noise [1] of the trials that the fit held back, as `sysid validate` judges them.
+    truth : mapping
+        True values by parameter [SI], of a synthesized campaign.
+    """
+
+    band: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    noise: Mapping[str, FloatArray] = field(default_factory=dict)
+    held_out: Mapping[str, float] = field(default_factory=dict)
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+
+def header(
+    title: str, fit: FitResult, tiles: Sequence[tuple[str, str]], following: str, sketch: Html
+) -> Html:
+    """Return the box above all: verdict in one word, `tiles` (figure, words), next step, sketch."""
+    word, tone = _WORDS.get(fit.provenance.get("adequacy", {}).get("verdict"), ("not judged", "doubtful"))
+    items = "".join(
+        f"<li><b{'' if figure[:1].isdigit() else ' class=words'}>{html.escape(figure)}</b>"
+        f"<span>{html.escape(what)}</span></li>"
+        for figure, what in tiles
+    )
+    picture = f'<div class="sketch">{sketch.text}</div>' if sketch.text else ""
+    return Html(
+        f'<header class="answer"><h1>{html.escape(title)}</h1>{picture}'
+        f'<p><span class="word {tone}">{word}</span>{html.escape(fit.name)}</p>'
+        f'<ul class="tiles">{items}</ul>'
+        f'<p class="next"><b>Next:</b> {_with_commands(following)}</p></header>'
+    )
+
+
+def _with_commands(text: str) -> str:
+    """Return a text with what stands between backticks as code."""
+    parts = html.escape(text).split("`")
+    return "".join(f"<code>{part}</code>" if k % 2 else part for k, part in enumerate(parts))
+
+
+def over_noise(fit: FitResult) -> tuple[str, str]:
+    """Return how many times the noise the fitted trials leave, and what that is."""
+    judged = fit.provenance.get("adequacy")
+    if not judged:
+        return "not known", "fit over noise: this fit was not judged; fit again"
+    worst = judged["misfit"]
+    return (
+        f"{judged['ratio']:.2f} ×",
+        f"fit over noise; worst channel {worst['channel']} {worst['channel_ratio']:.2f} ×",
+    )
+
+
+def predicted_over_noise(
+    validations: Mapping[str, Mapping[str, Any]], held_out: Mapping[str, float], command: str
+) -> tuple[str, str]:
+    """Return how many times the noise the trials that were not fitted leave; else what to run."""
+    if held_out:
+        values = list(held_out.values())
+        worst = max(held_out, key=lambda name: held_out[name])
+        what = f"prediction over noise, {len(values)} not fitted; worst {worst} {held_out[worst]:.2f} ×"
+        return f"{np.mean(values):.2f} ×", what
+    for name, document in validations.items():
+        if np.isfinite(document.get("ratio", np.nan)):
+            return f"{document['ratio']:.2f} ×", f"prediction over noise, {name}"
+    return "not known", f"prediction over noise: run {command}"
+
+
+def counts(rows: Sequence[Mapping[str, Any]] | None, command: str) -> tuple[str, str]:
+    """Return how many parameters are well, weakly and not identifiable."""
+    if rows is None:
+        return "not known", f"parameters identifiable: run {command}"
+    kinds = [row["verdict"] if row["verdict"] in ("well", "weakly") else "not" for row in rows]
+    parts = [f"{kinds.count(kind)} {kind}" for kind in ("well", "weakly", "not")]
+    return " · ".join(parts), f"identifiable, of {len(rows)} free parameters"
+
+
+def next_step(fit: FitResult, trust: Mapping[str, Any] | None, predicted: bool, folder: str) -> str:
+    """Return the one sentence of what to do next: what stands in the way first."""
+    judged = fit.provenance.get("adequacy", {})
+    if fit.agreement.unfinished or fit.state != "done":
+        return "the search was not finished; fit again with more generations before you read a number."
+    if judged.get("verdict") == NOT_BY:
+        at = judged["misfit"]
+        return (
+            f"no value counts yet: look at {at['channel']} {at['phase']} on {at['trial']}, where the misfit "
+            "sits, and change the model or the campaign."
+        )
+    if trust is None:
+        return f"run `sysid trust {folder}` for intervals: what the data identify is not known yet."
+    lost = [row for row in trust["parameters"] if row["verdict"].startswith("not_")]
+    if not predicted:
+        return f"run `sysid cross-validate {folder}`: how well it predicts is not known yet."
+    if lost:
+        names, them = ", ".join(row["symbol"] for row in lost), "it" if len(lost) == 1 else "them"
+        return (
+            f"use the sets without {names}, which the data do not identify: measure {them} apart, or plan "
+            f"trials that excite {them} with `sysid check CAMPAIGN`."
+        )
+    if judged.get("verdict") == ROUGHLY_BY:
+        at = judged["misfit"]
+        return (
+            f"use the sets with care: {at['channel']} {at['phase']} is {at['phase_ratio']:.1f} × its noise."
+        )
+    return f"use the sets: `sysid export {folder}` writes them for a simulator."
+
+
+def parameter_table(fit: FitResult, trust: Mapping[str, Any] | None, truth: Mapping[str, float]) -> Table:
+    """Return the one table of free parameters: value, 95 % interval, verdict, partners, measured, truth."""
+    known = {row["name"]: row for row in (trust or {}).get("parameters", ())}
+    free = [i for i, record in enumerate(fit.parameters) if record.status == "free"]
+    measured = {i: _measured(known.get(fit.parameters[i].name), fit.parameters[i]) for i in free}
+
+    def row_of(i: int) -> Mapping[str, Any] | None:
+        return known.get(fit.parameters[i].name)
+
+    def value(i: int) -> str:
+        text = in_place_of_digits(fit.settings, fit.parameters[i].name)
+        return text or rounded(fit.values[0, i]) + ("*" if fit.at_bound[0, i] else "")
+
+    def judged(i: int) -> Cell:
+        row = row_of(i)
+        return Cell(verdict_words(row["verdict"]), TONES.get(row["verdict"], "bad")) if row else Cell(NONE)
+
+    def true(i: int) -> Cell:
+        name, row = fit.parameters[i].name, row_of(i)
+        if name not in truth:
+            return Cell(NONE)
+        (low, high), (below, above) = (row["interval_95"], row["open_95"]) if row else ((0, 0), (True, True))
+        inside = (below or low <= truth[name]) and (above or truth[name] <= high)
+        return Cell(rounded(truth[name]) + ("" if inside else " outside"), "" if inside else "doubtful")
+
+    marked = "* the best set ends at a bound of the search" if fit.at_bound[0][free].any() else ""
+    return table(
+        "",
+        free,
+        (
+            words("symbol", lambda i: fit.parameters[i].symbol or fit.parameters[i].name),
+            words("name", lambda i: fit.parameters[i].name.replace("_", " ")),
+            numbers("value", value),
+            numbers("95 % interval", lambda i: interval(row_of(i), 95) if row_of(i) else NONE),
+            words("unit", lambda i: fit.parameters[i].unit or "1"),
+            words("verdict", judged),
+            words("partners", lambda i: partners(row_of(i) or {})),
+            numbers("measured", lambda i: measured[i]) if set(measured.values()) > {NONE} else None,
+            numbers("truth", true) if truth else None,
+        ),
+        marked,
+    )
+
+
+def _measured(row: Mapping[str, Any] | None, record: Any) -> str:
+    return ends_of((row or {}).get("measured") or record.measured_range)
+
+
+def grouped_warnings(warnings: Sequence[str], findings: Sequence[Mapping[str, Any]]) -> Html:
+    """Return warnings by what was found, a heading for those of one code."""
+    groups: dict[str, list[str]] = {}
+    for warning in warnings:
+        codes = (each["code"] for each in findings if each["sentence"] in warning)
+        groups.setdefault(next(codes, "intervals and other trials"), []).append(warning)
+    return joined([
+        paragraph(f"{code.replace('-', ' ')[:1].upper()}{code.replace('-', ' ')[1:]}", "caption")
+        + bullets(group, "warnings")
+        for code, group in groups.items()
+    ]) if groups else NOTHING  # fmt: skip
