@@ -57,7 +57,7 @@ def motor_sketch() -> Html:
     ]
     for x, y, letter in ((75, 22, "R"), (140, 22, "L"), (196, 102, "e"), (48, 95, "u"), (300, 84, "T")):
         parts.append(f'<text x="{x}" y="{y}" text-anchor="middle" {_LETTER}>{letter}</text>')
-    words = "circuit of the motor: voltage, winding resistance and inductance, back-emf; propeller with its thrust"
+    words = "circuit of the motor: voltage, resistance, inductance, back-emf; propeller with its thrust"
     return _svg(words, (0, 8, 322, 152), '<g font-size="19" font-style="italic">', parts)
 
 

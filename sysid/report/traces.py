@@ -22,7 +22,8 @@ def trial_view(
 ) -> View:  # fmt: skip
     """Return measured and simulated channels of a trial, each with its residual below.
 
-    `names` are the key of the view and its title. Residuals are over the noise where it is known. `other` is a fit whose best set is drawn as well.
+    `names` are the key of the view and its title. Residuals are over the noise where it is known. `other` is
+    a fit whose best set is drawn as well.
     """
     time, panels = trial.time - trial.time[0], []
     band, noise = known.band.get(trial.name), known.noise.get(trial.name)
