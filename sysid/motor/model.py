@@ -57,7 +57,7 @@ __all__ = [
 STATUS_TEXT = {
     kernel.DONE: "done",
     kernel.NO_STEADY_STATE: "no steady state under the first command",
-    kernel.TOO_MANY_STEPS: f"more than {kernel.MAX_STEPS} steps",
+    kernel.TOO_MANY_STEPS: f"more than {kernel.MAX_STEPS} steps, or a candidate's {kernel.CANDIDATE_STEPS}",
     kernel.NOT_FINITE: "the state became infinite",
     kernel.STUCK: "the step size fell to nothing",
 }
@@ -228,7 +228,7 @@ def simulate(
     out = np.empty((t.size, 4))
     status, reached, _ = kernel.integrate(
         kernel_rows(pack(parameters)), instants, levels, knots, ratio, t[0], t[-1], start, current, speed,
-        tolerance, ideal_reversal, t, out, *(np.empty(0),) * 4,
+        tolerance, ideal_reversal, kernel.MAX_STEPS, t, out, *(np.empty(0),) * 4,
     )  # fmt: skip
     if status != kernel.DONE:
         raise FitError(

@@ -25,6 +25,11 @@ def test_candidate_that_costs_too_much_is_cut_and_counted() -> None:
     run = simulate_population(rows, SimulatedTrials([ordinary, slow]), threads=1)
     assert run.status.tolist() == [[kernel.DONE, kernel.TOO_MANY_STEPS]]
     assert 0.2 < run.reached[0, 1] < 0.6
+    # On 60 trials no candidate may take 60 times as long: every trial has its share of the steps.
+    many = simulate_population(rows, SimulatedTrials([ordinary] + [slow] * 59), threads=1)
+    assert many.status[0].tolist() == [kernel.DONE] + [kernel.TOO_MANY_STEPS] * 59
+    share = kernel.CANDIDATE_STEPS / 60 / kernel.MAX_STEPS
+    np.testing.assert_allclose(many.reached[0, 1:], share * run.reached[0, 1], rtol=0.01)
 
     cause = _causes(run.status > 0, run.status)
     failed = first_cause(cause, len(MotorProblem.causes))
