@@ -41,7 +41,8 @@ CMAES_TOLERANCE = 1e-5
 CMAES_SPREAD = 0.01
 # Of a finisher; chosen by tests/benchmarks/engine.py.
 FINISH_POPULATION = 64
-# Of CMA-ES after least squares: the axes of the cost are known, so a small population has to learn no others.
+# Of CMA-ES after least squares: the axes of the cost are known, so a small population has to learn no others;
+# and of a search of few parameters.
 ROUGH_POPULATION = 16
 # Generations of the first stage that least squares needs to find its starts.
 FIRST_GENERATIONS = 3
@@ -75,6 +76,9 @@ class SearchSettings:
         because the cost is too rough for derivatives to find the last digits; where more is left than noise,
         the whole search and CMA-ES follow instead. CMA-ES from mean and spread of each run's last generation.
         ``none`` is the paper's method.
+    first_generations : int, optional
+        Of the first stage at most, and CMA-ES after it is a small one; by default the stop rule says it, and
+        before least squares there are three.
     """
 
     population: int = POPULATION[DEFAULT_ALGORITHM]
@@ -83,6 +87,7 @@ class SearchSettings:
     stop: StopRule = field(default_factory=StopRule)
     algorithm: str = DEFAULT_ALGORITHM
     finish: str = DEFAULT_FINISH
+    first_generations: int | None = None
 
     def __post_init__(self) -> None:
         if self.population < 4 or self.runs < 1 or self.seed < 0:
@@ -211,8 +216,8 @@ class _Run:
                 population = 0
                 bred: Breeder = LeastSquares(self.objective, stages[-1].cube[-1], stages[-1].cost[-1])
             else:
-                along_axes = start is not None and start.axes is not None
-                finishing = ROUGH_POPULATION if along_axes else FINISH_POPULATION
+                small = self.settings.first_generations or (start is not None and start.axes is not None)
+                finishing = ROUGH_POPULATION if small else FINISH_POPULATION
                 searching = name == self.settings.algorithm
                 population = self.settings.population if searching else finishing
                 seed = self.seed if searching else _child_seed(self.seed, number)
@@ -246,8 +251,8 @@ class _Run:
             rule = replace(
                 rule, reading="relative", window=window, tolerance=CMAES_TOLERANCE, spread=CMAES_SPREAD
             )
-        elif fast and number == 0:
-            rule = replace(rule, max_generations=min(rule.max_generations, FIRST_GENERATIONS))
+        elif number == 0 and (first := self.settings.first_generations or FIRST_GENERATIONS * fast):
+            rule = replace(rule, max_generations=min(rule.max_generations, first))
         return rule
 
     def _bred(self, name: str, bred: Breeder, rule: StopRule, memory: StageMemory) -> StageHistory:
