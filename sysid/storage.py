@@ -17,7 +17,7 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,23 +54,30 @@ def _sentence(path: Path, error: BaseException) -> str:
 
 def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = SysidError) -> None:
     """Write a file whole; `error_type`, and an existing file unchanged, where that is impossible."""
-    path = Path(path)
-    temporary: Path | None = None
+    write_files({Path(path): data}, error_type)
+
+
+def write_files(files: Mapping[Path, bytes], error_type: type[SysidError] = SysidError) -> None:
+    """Write files that belong together: all are complete on disk before the first takes its name."""
+    temporary: dict[Path, Path] = {}
+    path = next(iter(files))
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-        temporary = Path(name)
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        _open_to_others(temporary)
-        replace_file(temporary, path)
+        for path, data in files.items():
+            handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+            temporary[path] = Path(name)
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            _open_to_others(temporary[path])
+        for path, new in temporary.items():
+            replace_file(new, path)
     except OSError as error:
         raise error_type(_sentence(path, error)) from error
     finally:
-        if temporary is not None:
+        for new in temporary.values():
             with suppress(OSError):
-                temporary.unlink(missing_ok=True)
+                new.unlink(missing_ok=True)
 
 
 def replace_file(new: Path, path: Path) -> None:

@@ -30,7 +30,7 @@ from sysid.types import BoolArray, FloatArray
 # NRMSE of noise where a channel shows none: as coarse as its last digit, so not known any better.
 ASSUMED_NOISE = 0.02
 # Simulated samples of a population that are in memory at once [bytes].
-_MEMORY = 64e6
+_MEMORY = 8e6
 
 
 class Cost(Protocol):

@@ -213,8 +213,11 @@ class GearProblem(Problem):
 
     def score(self, rows: FloatArray) -> Scores:
         """Simulate and score rows of the parameter table (P, n_table) [SI]."""
-        scored, causes = self.judge_samples(*self.simulate(rows))
-        return Scores(scored.by_channel, causes)
+        scored = [self.judge_samples(*self.simulate(rows[part])) for part in self._parts(len(rows))]
+        return Scores(
+            np.concatenate([part.by_channel for part, _ in scored]),
+            np.concatenate([causes for _, causes in scored]),
+        )
 
     def judge_samples(
         self, samples: FloatArray, result: PopulationSamples
@@ -276,38 +279,35 @@ class GearProblem(Problem):
         self, rows: FloatArray, body_states: FloatArray | None = None
     ) -> tuple[FloatArray, BoolArray]:
         """Return residuals and failures of rows (P, n_table) [SI], from starts (P, D, 6) where given."""
-        samples, result = self.simulate(rows, body_states)
-        samples = np.nan_to_num(samples, nan=0.0, posinf=0.0, neginf=0.0)
+        compared = max(channel.column for channel in self.cost.channels) + 1
+        samples = np.empty((len(rows), self.cost.n_total, compared))
+        lost = np.empty(len(rows), dtype=np.bool_)
+        for part in self._parts(len(rows)):
+            every, result = self.simulate(rows[part], None if body_states is None else body_states[part])
+            samples[part] = every[:, :, :compared]
+            lost[part] = np.any(self._lost(every, result), axis=1)
+        np.nan_to_num(samples, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
         out = np.zeros((len(rows), self.blocks[-1].stop))
         for block in self.blocks:
             first, last = self.cost.offsets[block.trial], self.cost.offsets[block.trial + 1]
-            column, operator = self._operators[block.trial][block.channel]
-            signal = samples[:, first:last, column] @ operator.T
+            column = self.cost.channels[block.channel].column
+            # Of all rows at once: the last bit of a product depends on how many rows it has.
+            signal = samples[:, first:last, column] @ self._operators[block.trial][block.channel].T
             trial = self.trials[block.trial]
             error = signal - trial.measured[:, block.channel]
             valid = trial.valid[:, block.channel]
             out[:, block.start : block.stop] = np.where(valid, error, 0.0) / block.spread
-        return np.nan_to_num(out), np.any(self._lost(samples, result), axis=1)
+        return np.nan_to_num(out, copy=False), lost
+
+    @property
+    def samples(self) -> int:
+        """Simulated numbers of one candidate, which bound how many are simulated at once."""
+        return 6 * self.cost.n_total
 
     @cached_property
-    def _operators(self) -> tuple[tuple[tuple[int, FloatArray], ...], ...]:
-        """Per drop and channel: its column, and filter and difference as a matrix (n, n_samples).
-
-        The way from samples to what is compared is linear: as matrices a whole population takes it at once.
-        """
-        out = []
-        for t in range(len(self.drops)):
-            first, last = int(self.cost.offsets[t]), int(self.cost.offsets[t + 1])
-            pulses = np.zeros((last - first, self.cost.n_total, 6))
-            pulses[np.arange(last - first), np.arange(first, last)] = 1.0
-            response = self.cost.prepared(pulses)[t]
-            out.append(
-                tuple(
-                    (channel.column, np.ascontiguousarray(response[:, :, c].T))
-                    for c, channel in enumerate(self.cost.channels)
-                )
-            )
-        return tuple(out)
+    def _operators(self) -> tuple[tuple[FloatArray, ...], ...]:
+        """Filter and difference of every drop as matrices, which take a whole population at once."""
+        return tuple(self.cost.operators(t) for t in range(len(self.drops)))
 
     # --- what is uncertain ----------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are a
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -28,7 +28,7 @@ from sysid.fit.adequacy import Adequacy
 from sysid.fit.provenance import CampaignFile
 from sysid.parameter_sets import INTERVALS, SetsContent
 from sysid.recording import file_sha256
-from sysid.storage import FileKind, datasets, put, write_file
+from sysid.storage import FileKind, datasets, put, write_files
 
 TRUST, CROSS_VALIDATION, LADDER, VALIDATION = "trust", "cross-validation", "ladder", "validation-"
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -344,12 +344,14 @@ def write_part(
     *,
     fit: str,
     kind: str,
+    beside: Mapping[str, bytes] | None = None,
 ) -> Path:
     """Write one document and its arrays into a fit folder, in place of an earlier one.
 
     `part` is ``trust``, ``cross-validation`` or ``validation-CAMPAIGN``. `document` has what `model_of` the
     part adds to `TrustPart`, and campaign and warnings; `arrays` are (values, axes, unit) by path in
-    the HDF5 file. `fit` is the fit's name. Raises FitError, with nothing changed, when it cannot be written.
+    the HDF5 file. `fit` is the fit's name; `beside` are further files of the folder that change with it, by
+    name. Raises FitError, with nothing changed, when it cannot be written.
     """
     text = model_of(part)(
         part=part, fit=fit, kind=kind, fit_sha256=file_sha256(folder / "fit.h5"),
@@ -362,8 +364,9 @@ def write_part(
             put(file, path, values, axes, unit)
 
     target = folder / f"{part}.json"
-    write_file(folder / f"{part}.h5", ARRAYS.content(write), FitError)
-    write_file(target, text.encode("utf-8"), FitError)
+    # The arrays first: without the document, which names them, they count as not there.
+    files = {folder / f"{part}.h5": ARRAYS.content(write), target: text.encode("utf-8")}
+    write_files(files | {folder / name: data for name, data in (beside or {}).items()}, FitError)
     return target
 
 
@@ -398,10 +401,13 @@ def parts(folder: Path) -> tuple[str, ...]:
 def with_intervals(sets: Sets, folder: Path) -> Sets:
     """Return the sets of a fit folder; settings state interval and verdict where the fit was assessed."""
     document = read_part(folder, TRUST) if folder.is_dir() else None
-    if document is None:
-        return sets
+    return sets if document is None else stating_intervals(sets, document["parameters"])
+
+
+def stating_intervals(sets: Sets, parameters: Iterable[Mapping[str, Any]]) -> Sets:
+    """Return sets whose settings state interval and verdict of a document's `parameters`."""
     keys = ("interval_95", "open_95", "verdict", "doubt")
-    rows = {row["name"]: {key: row[key] for key in keys} for row in document["parameters"]}
+    rows = {row["name"]: {key: row[key] for key in keys} for row in parameters}
     return replace(sets, settings={**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}})
 
 

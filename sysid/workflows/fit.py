@@ -113,7 +113,8 @@ def fit_campaign(
     # Before the hours of a fit are spent.
     Checkpoint.check_start(folder, resume=options.resume, force=options.force)
     check_new_fit(folder, options.force or options.resume)
-    with Journal(say, model.words.trials) as journal, ExitStack() as until_written:
+    missing = ""
+    with Journal(say, model.words.trials) as journal, ExitStack() as until_done, ExitStack() as until_written:
         try:
             progress = FitProgress(search, model.words.trials, options.quiet)
             with naming_campaign(path):
@@ -127,7 +128,7 @@ def fit_campaign(
             limited = replace(search, stop=replace(search.stop, time_limit=deadline.left))
             identity, candidate_time = _identity(search, problem, fitted)
             checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
-            until_written.callback(checkpoint.close)
+            until_done.callback(checkpoint.close)
             # From here on Ctrl-C is a flag: what was found so far is kept.
             deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
             runs, cut = _search(fitted, limited, options, checkpoint, progress, deadline.flag, candidate_time)
@@ -145,24 +146,33 @@ def fit_campaign(
                 warnings=tuple(journal.sentences()),
             )
             written = write_fit(result, folder, options.force or options.resume)
+            until_written.close()
+            if outcome.cut is None:
+                if options.trust:
+                    missing = _assess(written, options, say)
+                    result = with_intervals(result, written)
+                # What is done needs no checkpoint any more; until here --resume goes on with the intervals.
+                checkpoint.discard()
         except KeyboardInterrupt:
-            # Aborted by a second Ctrl-C, or by the first one before the search.
+            # Aborted by a second Ctrl-C, or by the first one before or after the search.
             if Checkpoint.kept(Checkpoint.folder_of(folder)):
                 tell(f"{folder}: aborted; what was scored is kept, continue with --resume")
             raise
-        if outcome.cut is None:
-            # What is done needs no checkpoint any more.
-            checkpoint.discard()
-    if options.trust and outcome.cut is None:
-        # Resamples would take longer than all else, and no interval rests on them.
-        try:
-            assess_fit(written, TrustOptions(resamples=0, threads=options.threads, dask=options.dask), say)
-        except SysidError as error:
-            # The fit is whole without: a campaign that was moved meanwhile must not look like a failure.
-            sentence = f"no intervals ({error}); run sysid trust {written}"
-            say(f"warning: {sentence}") if say else notice("no-intervals", sentence)
-        result = with_intervals(result, written)
+    if missing:
+        say(f"warning: {missing}") if say else notice("no-intervals", missing)
     return result, written
+
+
+def _assess(written: Path, options: FitOptions, say: Say) -> str:
+    """Add the intervals to a fit; return a sentence where that cannot be: the fit is whole without them."""
+    # Resamples would take longer than all else, and no interval rests on them.
+    trust = TrustOptions(resamples=0, threads=options.threads, dask=options.dask)
+    try:
+        assess_fit(written, trust, say)
+    except SysidError as error:
+        # A campaign that was moved meanwhile must not look like a failure.
+        return f"no intervals ({error}); run sysid trust {written}"
+    return ""
 
 
 def _add_doubts(journal: Journal, doubts: Iterable[Finding]) -> None:

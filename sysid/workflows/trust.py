@@ -17,9 +17,8 @@ from sysid.fit.store import fit_text
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import Parameter, SearchSpace, about
-from sysid.storage import write_file
 from sysid.trust.assessment import FEWEST, Assessment, assess
-from sysid.trust.documents import TRUST, with_intervals, write_part
+from sysid.trust.documents import TRUST, stating_intervals, write_part
 from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
 from sysid.trust.problem import spread_over
@@ -75,10 +74,12 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
         document, arrays = _document(opened, assessed, trials, floors, rows)
         document["warnings"] = journal.sentences()
         document["seconds"] = time.perf_counter() - began
-    write_part(opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind)
     # No value leaves without its interval.
-    stated = fit_text(with_intervals(opened.result, opened.folder))
-    write_file(opened.folder / "fit.json", stated.encode("utf-8"), FitError)
+    stated = fit_text(stating_intervals(opened.result, rows)).encode("utf-8")
+    write_part(
+        opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind,
+        beside={"fit.json": stated},
+    )  # fmt: skip
     return document
 
 

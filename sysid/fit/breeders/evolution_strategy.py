@@ -7,12 +7,27 @@ bit for bit, the candidates of `pymoo.algorithms.soo.nonconvex.cmaes.CMAES` with
 
 from __future__ import annotations
 
-import cma
+import sys
+from types import ModuleType
+
 import numpy as np
-from cma.transformations import BoxConstraintsLinQuadTransformation
 
 from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.types import FloatArray
+
+# What cma offers interactive shells: it imports matplotlib, which takes 30 MB. An empty module stands in its
+# place only while cma is imported, so a later ``import cma.s`` finds the real one.
+_SHORTCUTS = "cma.s"
+if "cma" not in sys.modules:
+    sys.modules[_SHORTCUTS] = ModuleType(_SHORTCUTS)
+    try:
+        import cma
+    finally:
+        del sys.modules[_SHORTCUTS]
+    del cma.s
+else:
+    import cma
+from cma.transformations import BoxConstraintsLinQuadTransformation  # noqa: E402
 
 # Largest standard deviation [1]: cma's default for a bounded range.
 _LARGEST_STD = 1 / 3

@@ -1,5 +1,6 @@
 """The disk fails at any write: the result is the old one or the new one, and --resume gives equal bits."""
 
+import json
 import shutil
 from contextlib import suppress
 
@@ -14,9 +15,12 @@ from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.store import read_fit
 from sysid.resume import BlockStore
 from sysid.storage import FileKind, write_file
+from sysid.trust.documents import TRUST, read_arrays, read_part
+from sysid.workflows import fit as workflow
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.landing_sources import compute_and_write
-from sysid.workflows.options import ComputeOptions, FitOptions
+from sysid.workflows.options import ComputeOptions, FitOptions, TrustOptions
+from sysid.workflows.trust import assess_fit
 
 QUICK = {"quiet": True, "check": False, "trust": False}
 # A dozen operations per state; the fault of every operation is another test in the slow suite.
@@ -107,6 +111,55 @@ def test_every_kind_of_write_of_a_fit_may_fail(campaign, replaced):
 def test_every_write_of_a_fit_may_fail(campaign, replaced, kind):
     for at in range(len(operations(replaced))):
         survives(campaign, replaced, at, kind)
+
+
+# --- the intervals at the end of a fit ----------------------------------------------------------------------
+
+
+def texts(out):
+    """The sets and the intervals of a fit as text, without clocks; None where it has no intervals."""
+    document = read_part(out, TRUST)
+    trust = document and {key: document[key] for key in ("parameters", "correlation", "noise", "trials")}
+    arrays = document and {name: data.tobytes() for name, data in read_arrays(out, TRUST).items()}
+    stated = json.loads((out / "fit.json").read_text(encoding="utf-8"))["settings"].get("intervals")
+    return repr(trust), repr(arrays), repr(stated), repr(numbers(out))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_write_of_the_intervals_may_fail(campaign, tmp_path, monkeypatch, kind):
+    """After each fault the fit has no intervals or all of them, and --resume or `sysid trust` gives all."""
+    path, _, new = campaign
+    search = {"quiet": True, "check": False}
+    fit_campaign(path, FitOptions(out=tmp_path / "whole", **search))
+    complete, bare = texts(tmp_path / "whole"), texts(new)
+    assert [a == b for a, b in zip(complete, bare, strict=True)] == [False, False, False, True]
+    out = tmp_path / "fit"
+    counted = Disk()
+    begun = []
+
+    def assessed(folder, *arguments):
+        begun.append(counted.count)
+        return assess_fit(folder, *arguments)
+
+    monkeypatch.setattr(workflow, "assess_fit", assessed)
+    with faulty(monkeypatch, counted):
+        fit_campaign(path, FitOptions(out=out, **search))
+    assert {"mkstemp", "write", "fsync", "chmod", "replace"} <= set(counted.names[begun[0] :])
+    for at in range(begun[0], counted.count):
+        shutil.rmtree(out)
+        broken = Disk(at, kind)
+        with faulty(monkeypatch, broken), suppress(Killed):
+            fit_campaign(path, FitOptions(out=out, **search))
+        what = (at - begun[0], kind, broken.names[at])
+        # The fit is whole, and each file is the old one or the new one.
+        assert all(found in (a, b) for found, a, b in zip(texts(out), complete, bare, strict=True)), what
+        if kind == "killed" and Checkpoint.kept(Checkpoint.folder_of(out)):
+            fit_campaign(path, FitOptions(out=out, resume=True, **search))
+        else:
+            assert not list(out.glob(".*.part")) or kind == "killed", what
+            assess_fit(out, TrustOptions(resamples=0))
+        assert texts(out) == complete, what
+        shutil.rmtree(Checkpoint.folder_of(out), ignore_errors=True)
 
 
 # --- maps and design studies --------------------------------------------------------------------------------
