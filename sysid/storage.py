@@ -274,6 +274,16 @@ def _check_content(file: Any) -> None:
             raise ValueError(f"{name} claims more values than the file has bytes for")
 
 
+def schema_of(path: Path, error_type: type[SysidError] = SysidError) -> str:
+    """Return the schema of an HDF5 file; nothing for a file of others, `error_type` for a damaged one."""
+    try:
+        with h5py.File(path, "r") as file:
+            return str(file.attrs.get("schema", ""))
+    except OSError as error:
+        first = next(iter(str(error).splitlines()), "")
+        raise error_type(f"{path}: damaged or cut off ({first}); write it again") from error
+
+
 def put(group: Any, name: str, values: Any, axes: str, unit: str = "1") -> None:
     """Write an array of numbers with the names of its axes and its unit; a long one is compressed."""
     data = np.asarray(values)

@@ -185,11 +185,19 @@ def ladder(
 
 
 @command(app, "report", "sysid report fits/demo/gear-lf")
-def report(fit: FitFolder, options: ReportOptions, quiet: Quiet = False, json: Json = False) -> None:
-    """Write a fit's report: one HTML page with every trial."""
+def report(
+    result: Annotated[Path, Argument("Fit folder, or file of landing maps or of a design study.")],
+    options: ReportOptions,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Write a report: one HTML page with every trial.
+
+    The page of landing maps, or of a design study, shows every cell with the command that simulates it.
+    """
     from sysid.workflows.report import print_report
 
-    print_report(fit, options, json, unless(quiet or json))
+    print_report(result, options, json, unless(quiet or json))
 
 
 @command(app, "show", "sysid show fits/demo/gear-lf")

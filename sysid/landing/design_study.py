@@ -35,6 +35,8 @@ REVERSAL = "reversal_delay"
 SLOPES_DEG = tuple(float(slope) for slope in range(0, 61))
 SPEEDS = (0.3, 0.6, 0.9, 1.2)
 _MOST = 41
+# What a user may write: spans of values, and single ones.
+_ASKED = {False: "--vary k_t=0.5:2:5", True: "--change k_t=1.5"}
 
 
 @dataclass(frozen=True)
@@ -94,16 +96,17 @@ class Change:
         return replace(drone, motor=dict(drone.motor) | {"saturation_speed": edge})
 
 
-def find_changes(text: str) -> tuple[Change, ...]:
+def find_changes(text: str, *, single: bool = False) -> tuple[Change, ...]:
     """Return the changes of a command line, for example ``k_t=0.5:2:5,dx_f=0.8:1.4:4``.
 
-    Each is ``NAME=FIRST:LAST:COUNT``. NAME is a row of the gear's or the motor's table by name or symbol, its
-    values are factors in equal ratios; or ``reversal_delay``, its values are added seconds in equal steps
-    (``0ms:200ms:5``). Raises `CampaignError` for anything else, and for a number that is varied twice.
+    Each is ``NAME=FIRST:LAST:COUNT``, or ``NAME=VALUE`` where `single` values are asked for. NAME is a row
+    of the gear's or the motor's table by name or symbol, its values are factors in equal ratios; or
+    ``reversal_delay``, its values are added seconds in equal steps (``0ms:200ms:5``). Raises `CampaignError`
+    for anything else, and for a number that is varied twice.
     """
-    changes = tuple(_change(part.strip()) for part in text.split(",") if part.strip())
+    changes = tuple(_change(part.strip(), single) for part in text.split(",") if part.strip())
     if not changes:
-        raise CampaignError("nothing to vary; give for example --vary k_t=0.5:2:5")
+        raise CampaignError(f"nothing to vary; give for example {_ASKED[single]}")
     names = [change.name for change in changes]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
@@ -111,11 +114,15 @@ def find_changes(text: str) -> tuple[Change, ...]:
     return changes
 
 
-def _change(text: str) -> Change:
+def _change(text: str, single: bool) -> Change:
     name, equals, span = text.partition("=")
     name = name.strip()
     kind, row_name, symbol = _find(name)
     parts = [part.strip() for part in span.split(":")]
+    if single and equals and len(parts) == 1:
+        parts = [*parts, *parts, "1"]
+    elif single:
+        raise CampaignError(f"{text!r}: expected NAME=VALUE, for example {_ASKED[single]}")
     if not equals or len(parts) != 3 or not parts[2].isdigit() or not 1 <= int(parts[2]) <= _MOST:
         raise CampaignError(
             f"{text!r}: expected NAME=FIRST:LAST:COUNT with a count of 1 to {_MOST}, for example k_t=0.5:2:5"
@@ -200,6 +207,10 @@ class DesignStudy:
         Share of the landings within the long distance over slopes and speeds [1], as from `shares_of`.
     lost : (p,) int64 array
         Landings of each design that could not be simulated.
+    outcome : (p, n, m) int8 array
+        Likeliest class, see `sysid.landing.maps.LandingMap.likeliest`.
+    distance, time : (p, n, m) arrays
+        Means over the landings that came to rest [m], [s]; NaN where none did.
     """
 
     name: str
@@ -209,6 +220,9 @@ class DesignStudy:
     points: FloatArray
     landed: FloatArray
     lost: IntArray
+    outcome: NDArray[np.int8]
+    distance: FloatArray
+    time: FloatArray
 
     @property
     def steepest(self) -> FloatArray:
@@ -316,14 +330,26 @@ def design_study(
     settings, how = settings or StudySettings(), how or Computing()
     points = designs(changes, settings.together)
     fleets = fleets_of(drones, changes, points)
-    outcomes = []
+    attitudes = []
     for number, grid in enumerate(settings.grids(), start=1):
         maps = landing_maps(fleets, [controller], grid, replace(how, part=f"attitude-{number}-"))
         if not maps:
             return None
-        outcomes.append(np.array([landings.outcome for landings in maps]))
-    landed, lost = shares_of(np.concatenate(outcomes, axis=1))
-    return DesignStudy(name, controller.label, tuple(changes), settings, points, landed, lost)
+        attitudes.append(maps)
+    # A design's landings of all attitudes as one map, as if each attitude had sets of its own.
+    whole = [
+        replace(maps[0], **{
+            name: np.concatenate([getattr(each, name) for each in maps])
+            for name in ("outcome", "distance", "time", "uncertain")
+        })
+        for maps in zip(*attitudes, strict=True)
+    ]  # fmt: skip
+    landed, lost = shares_of(np.array([landings.outcome for landings in whole]))
+    means = (
+        np.array([getattr(landings, name) for landings in whole])
+        for name in ("likeliest", "mean_distance", "mean_time")
+    )
+    return DesignStudy(name, controller.label, tuple(changes), settings, points, landed, lost, *means)
 
 
 def shares_of(outcome: NDArray[np.int8]) -> tuple[FloatArray, IntArray]:

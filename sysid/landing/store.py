@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import ExportError
-from sysid.landing.design_study import DesignStudy
+from sysid.landing.design_study import Change, DesignStudy, StudySettings
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
-from sysid.landing.maps import CellMap, LandingMap
-from sysid.landing.outcomes import OUTCOMES, Outcome
-from sysid.storage import FileKind, put, put_json, put_texts, write_file
+from sysid.landing.maps import CellMap, LandingMap, MapSettings
+from sysid.landing.outcomes import OUTCOMES, Outcome, Rules
+from sysid.storage import FileKind, get_json, get_texts, numbered, put, put_json, put_texts, write_file
+from sysid.types import FloatArray
 
-MAPS = FileKind("sysid-landing-maps", 1, "a file of landing maps", "compute the map again", ExportError)
-STUDY = FileKind("sysid-design-study", 1, "a design study", "compute the study again", ExportError)
+MAPS = FileKind("sysid-landing-maps", 2, "a file of landing maps", "compute the map again", ExportError)
+STUDY = FileKind("sysid-design-study", 2, "a design study", "compute the study again", ExportError)
+_CODES = ", ".join(f"{outcome.value}: {outcome.text}" for outcome in Outcome)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +44,8 @@ def _put_maps(file: Any, content: MapFile) -> None:
     put_json(file, "provenance_json", content.provenance)
     for number, landings in enumerate(content.maps, start=1):
         group = _group(file, f"maps/{number}", landings)
-        codes = ", ".join(f"{outcome.value}: {outcome.text}" for outcome in Outcome)
-        put(group, "outcome", landings.outcome, cells, codes)
+        group.attrs["law"] = landings.law
+        put(group, "outcome", landings.outcome, cells, _CODES)
         put(group, "distance", landings.distance, cells, "m")
         put(group, "time", landings.time, cells, "s")
         group.attrs["checked"] = landings.checked
@@ -70,6 +72,31 @@ def _group(file: Any, name: str, cells: CellMap) -> Any:
     return group
 
 
+def read_maps(path: Path) -> MapFile:
+    """Return the content of a file of maps; raises `ExportError` for anything else."""
+    with MAPS.opened(path) as file:
+        settings, provenance = (get_json(file, f"{name}_json") for name in ("settings", "provenance"))
+        maps = tuple(map(_landings, numbered(file, "maps")))
+        return MapFile(maps, tuple(map(_impulses, numbered(file, "impulses"))), settings, provenance)
+
+
+def _head(group: Any) -> tuple[str, str, tuple[str, ...], FloatArray, FloatArray]:
+    surface, controller = str(group.attrs["surface"]), str(group.attrs["controller"])
+    return surface, controller, tuple(get_texts(group, "sets")), group["slope"][()], group["speed"][()]
+
+
+def _landings(group: Any) -> LandingMap:
+    outcome, distance, time = (group[name][()] for name in ("outcome", "distance", "time"))
+    checked = bool(group.attrs["checked"])
+    uncertain = group["uncertain"][()] if checked else outcome < 0
+    more = {"checked": checked, "law": str(group.attrs["law"])}
+    return LandingMap(*_head(group), outcome, distance, time, uncertain, **more)  # type: ignore[arg-type]
+
+
+def _impulses(group: Any) -> ImpulseMap:
+    return ImpulseMap(*_head(group), {name: group[name][()] for name in UNITS})
+
+
 def write_study(path: Path, study: DesignStudy, provenance: Mapping[str, Any]) -> Path:
     """Write the file whole or not at all; raises `ExportError` where it cannot be written."""
     write_file(path, STUDY.content(lambda file: _put_study(file, study, provenance)), ExportError)
@@ -94,7 +121,26 @@ def _put_study(file: Any, study: DesignStudy, provenance: Mapping[str, Any]) -> 
     put(file, "speed", settings.speeds, "speed", "m/s")
     put(file, "designs", study.points, "design, change", f"columns: {labels}")
     put(file, "landed", study.landed, "design, slope, speed")
+    put(file, "outcome", study.outcome, "design, slope, speed", _CODES)
+    put(file, "mean_distance", study.distance, "design, slope, speed", "m")
+    put(file, "mean_time", study.time, "design, slope, speed", "s")
     put(file, "largest_safe_slope", study.steepest, "design, speed", "deg")
     put(file, "landable", study.landable, "design, speed", "deg")
     put(file, "at_edge", study.at_edge, "design, speed")
     put(file, "lost", study.lost, "design", "landings")
+
+
+def read_study(path: Path) -> tuple[DesignStudy, dict[str, Any]]:
+    """Return a design study and its provenance; raises `ExportError` for anything else."""
+    with STUDY.opened(path) as file:
+        document, provenance = (get_json(file, f"{name}_json") for name in ("settings", "provenance"))
+        maps = MapSettings(rules=Rules(**document["rules"]), tolerance=document["tolerance"], check=False)
+        settings = StudySettings(
+            tuple(file["slope"][()].tolist()), tuple(file["speed"][()].tolist()), maps=maps,
+            **{name: document[name] for name in ("share", "spread_deg", "together")},
+        )  # fmt: skip
+        changes = tuple(Change(**row | {"values": tuple(row["values"])}) for row in document["changes"])
+        arrays = ("designs", "landed", "lost", "outcome", "mean_distance", "mean_time")
+        numbers = (file[name][()] for name in arrays)
+        name, controller = (str(file.attrs[key]) for key in ("name", "controller"))
+        return DesignStudy(name, controller, changes, settings, *numbers), provenance

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,7 @@ from sysid.landing.impulse_maps import ImpulseMap
 from sysid.landing.maps import LandingMap, cell_edges
 from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.landing.real_landings import Experiment, of_map
+from sysid.landing.store import MapFile
 from sysid.report.drawing import BEST, OTHERS, WIDTH, paper
 from sysid.types import BoolArray, FloatArray
 
@@ -36,7 +37,7 @@ _DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", BEST
 _LIMIT_STYLES = {"rigid": "dashdot", "bending": "dotted"}
 _TIME_STYLE = (0, (4, 2))
 # Every set lost; and slopes above the map.
-_LOST_COLOUR, _BEYOND_COLOUR = "#CC79A7", "#F2F2F2"
+LOST_COLOUR, _BEYOND_COLOUR = "#CC79A7", "#F2F2F2"
 # Room above the steepest slope of a map, for static limits that lie a little higher [deg].
 _ROOM = 6.0
 # Least distance of a contour's label from other labels, and from the edges, in widths of the axes.
@@ -100,6 +101,25 @@ class MapLegend:
             kind = {"-": "line", ":": "dotted", "None": "dots"}.get(str(style), "dashed")
             out.append((to_hex(handle.get_color()), kind, words))
         return sorted(out, key=lambda entry: entry[1] != "area")
+
+
+def drawn_limits(rows: Iterable[Mapping[str, Any]]) -> dict[tuple[str, str], DrawnLimits]:
+    """Return static limits by surface and controller, from rows as a file of maps states them."""
+    fields = ("thrust", "rigid", "bending")
+    return {(row["surface"], row["controller"]): DrawnLimits(*(row[f] for f in fields)) for row in rows}
+
+
+def figure_of_file(content: MapFile, legend: MapLegend | None = None) -> Figure:
+    """Draw the maps of a file with its static limits and real landings; see `figure_landing_maps`."""
+    settings = content.settings
+    return figure_landing_maps(
+        content.maps,
+        limits=drawn_limits(settings["static_limits"]),
+        experiments=[Experiment(**row) for row in settings.get("real_landings", ())],
+        short=settings["rules"]["short"],
+        long=settings["rules"]["long"],
+        legend=legend,
+    )
 
 
 def figure_landing_maps(
@@ -199,14 +219,14 @@ def _name_colours(legend: MapLegend, maps: Sequence[LandingMap], short: float, l
         if any(np.any(chart.outcome == outcome) for chart in maps):
             legend.patch(name, facecolor=COLOURS[outcome])
     if any(np.any(chart.likeliest == Outcome.LOST) for chart in maps):
-        legend.patch("every simulation failed", facecolor=_LOST_COLOUR)
+        legend.patch("every simulation failed", facecolor=LOST_COLOUR)
 
 
 def _blend(chart: LandingMap) -> FloatArray:
     image = np.zeros((*chart.landed.shape, 3))
     for outcome in OUTCOMES:
         image += np.nan_to_num(chart.share(outcome))[..., None] * np.array(to_rgb(COLOURS[outcome]))
-    image[chart.likeliest == Outcome.LOST] = to_rgb(_LOST_COLOUR)
+    image[chart.likeliest == Outcome.LOST] = to_rgb(LOST_COLOUR)
     return np.clip(image, 0.0, 1.0)
 
 

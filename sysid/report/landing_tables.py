@@ -36,6 +36,22 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
     )
 
 
+def maps_table(counts: Sequence[Mapping[str, Any]]) -> Table:
+    """Return maps in numbers, from `LandingMap.summary`."""
+    rows = [
+        (
+            f"{entry['surface'].upper()}, {entry['controller']}",
+            *(at_least(*slope, "g") for slope in zip(entry["steepest_deg"], entry["at_edge"], strict=True)),
+            f"{entry['mean_time']:.2f}",
+            f"{entry['mean_distance']:.2f}",
+            "–" if entry["uncertain"] is None else f"{100 * entry['uncertain']:.2f}",
+        )
+        for entry in counts
+    ]
+    heads = ("map", *(f"{speed:g}" for speed in counts[0]["speeds"]), "time [s]", "way [m]", "doubt [%]")
+    return listed("Steepest slope [deg] that half of the sets land on, by touchdown speed [m/s]", rows, heads)
+
+
 def gains_table(study: DesignStudy) -> Table:
     """Return what each change of a design buys, most first."""
     gains, steepest, edge = study.gains(), study.steepest[0].tolist(), study.at_edge[0].tolist()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from sysid.workflows.landing_sources import (
     rules_of,
 )
 from sysid.workflows.options import DesignStudyOptions
+from sysid.workflows.provenance import seen_from
 
 
 def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
@@ -45,7 +47,7 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
         MapSettings(rules=rules_of(options.rules), check=False),
     )  # fmt: skip
     changes = find_changes(options.vary)
-    (fleet,), origin = open_fleets(motors, [options.sets])
+    (fleet,), origin = open_fleets(motors, [options.sets], options.out)
     (controller,) = chosen_controllers(
         [options.controller], settings.maps.rules.horizon, file=options.controller_file,
         ideal_reversal=motors.ideal_reversal,
@@ -60,7 +62,10 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
         return design_study(name, fleet, changes, controller, settings, where)
 
     def write(study: DesignStudy) -> None:
-        write_study(options.out, study, origin | {"controller": asdict(controller)})
+        more: dict[str, Any] = {"controller": asdict(controller)}
+        if options.controller_file is not None:
+            more["controller_file"] = seen_from(options.out.parent, options.controller_file)
+        write_study(options.out, study, origin | more)
         save_figure(figure_design_study(study), picture)
 
     grids = settings.grids()

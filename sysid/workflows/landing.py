@@ -15,6 +15,7 @@ from sysid.errors import ExportError
 from sysid.export.spreadsheet import csv_text
 from sysid.landing.approach import fly_down
 from sysid.landing.controllers import Controller
+from sysid.landing.design_study import find_changes
 from sysid.landing.drone import Drone
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import EVENT, HISTORY, Landing, land
@@ -59,6 +60,8 @@ def land_drone(drone: Drone, options: TouchdownOptions, controller: Controller |
         options.slope, options.speed, options.pitch, options.pitch_rate, options.horizontal_speed
     )
     motors = None
+    for change in find_changes(options.change, single=True) if options.change else ():
+        drone = change.apply(drone, change.values[0])
     if options.height is not None and controller is not None:
         way = fly_down(drone, scenario, options.height)
         scenario, motors = way.touchdown, Motors(drone, controller.ideal_reversal, way.motors)

@@ -21,9 +21,9 @@ from sysid.landing.store import MapFile, write_maps
 from sysid.landing.thrust import Motors
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_lines, print_result, print_table
-from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps
-from sysid.report.landing_tables import at_least
-from sysid.report.table import Table, listed
+from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_of_file
+from sysid.report.landing_tables import maps_table
+from sysid.report.table import listed
 from sysid.resume import Computing
 from sysid.workflows.landing_sources import (
     check_result,
@@ -33,6 +33,7 @@ from sysid.workflows.landing_sources import (
     rules_of,
 )
 from sysid.workflows.options import ImpulseMapOptions, LandingMapOptions
+from sysid.workflows.provenance import seen_from
 
 
 def compute_landing_maps(options: LandingMapOptions) -> MapFile | None:
@@ -43,7 +44,7 @@ def compute_landing_maps(options: LandingMapOptions) -> MapFile | None:
         horizontal_speed=options.horizontal_speed,
     )  # fmt: skip
     check_result("map", options.out, options.compute.force, picture)
-    fleets, origin = open_fleets(options.motors, options.sets)
+    fleets, origin = open_fleets(options.motors, options.sets, options.out)
     controllers = chosen_controllers(
         options.controllers, rules.horizon, file=options.controller_file,
         ideal_reversal=options.motors.ideal_reversal, trigger=options.trigger,
@@ -55,13 +56,16 @@ def compute_landing_maps(options: LandingMapOptions) -> MapFile | None:
     def compute(how: Computing) -> MapFile | None:
         maps = landing_maps(fleets, controllers, settings, how)
         document = asdict(settings) | {"controllers": [asdict(controller) for controller in controllers]}
+        document["static_limits"] = limits_of(fleets, controllers)
+        if options.controller_file is not None:
+            document["controller_file"] = seen_from(options.out.parent, options.controller_file)
         if options.experiments:
             document["real_landings"] = [asdict(landing) for landing in real]
         return MapFile(maps, (), document, origin) if maps else None
 
     def write(content: MapFile) -> None:
         write_maps(options.out, content)
-        _draw_maps(content, picture, settings, static_lines(fleets, controllers), real)
+        save_figure(figure_of_file(content), picture)
 
     identity = map_identity(fleets, controllers, settings)
     blocks = (sum(map(len, fleets)) * len(controllers), "landings")
@@ -83,17 +87,18 @@ def compute_impulse_maps(options: ImpulseMapOptions) -> MapFile | None:
     impulses = ImpulseSettings(**stated, ideal_reversal=ideal)
     check_result("map", options.out, options.compute.force, picture, impulse_picture)
     impulses.check_within(settings.rules.horizon)
-    fleets, origin = open_fleets(options.motors, options.sets)
+    fleets, origin = open_fleets(options.motors, options.sets, options.out)
 
     def compute(how: Computing) -> MapFile | None:
         best, maps = impulse_maps(fleets, settings, impulses, how)
         document = asdict(settings) | {"impulses": asdict(impulses)}
+        document["static_limits"] = limits_of(fleets, after_impulses(impulses))
         return MapFile(maps, best, document, origin) if maps else None
 
     def write(content: MapFile) -> None:
         write_maps(options.out, content)
         save_figure(figure_impulse(content.impulses), impulse_picture)
-        _draw_maps(content, picture, settings, static_lines(fleets, after_impulses(impulses)), ())
+        save_figure(figure_of_file(content), picture)
 
     identity = map_identity(fleets, (), settings) | {"impulse_search": asdict(impulses)}
     blocks = (sum(map(len, fleets)) * len(settings.slopes_deg), "cells")
@@ -125,9 +130,12 @@ def _warn_of_strangers(
         )
 
 
-def static_lines(fleets: Fleets, controllers: Sequence[Controller]) -> dict[tuple[str, str], DrawnLimits]:
-    """Return the static limits of each surface's first set under each controller's last command."""
-    out = {}
+def limits_of(fleets: Fleets, controllers: Sequence[Controller]) -> list[dict[str, Any]]:
+    """Return the static limits of each surface's first set under each controller's last command.
+
+    The keys of each are ``surface``, ``controller`` and the fields of `DrawnLimits`.
+    """
+    out = []
     for fleet in fleets:
         drone = fleet[0]
         for controller in controllers:
@@ -138,19 +146,9 @@ def static_lines(fleets: Fleets, controllers: Sequence[Controller]) -> dict[tupl
                 continue  # the motors carry the drone, so there is no static limit
             rigid = rigid_limits(drone.gear, drone.surface, push).first.slope
             bending = ramp_limit(drone.gear, drone.surface, push).slope
-            out[(drone.surface, controller.label)] = DrawnLimits(
-                push, float(np.degrees(rigid)), float(np.degrees(bending))
-            )
+            limit = DrawnLimits(push, float(np.degrees(rigid)), float(np.degrees(bending)))
+            out.append({"surface": drone.surface, "controller": controller.label} | asdict(limit))
     return out
-
-
-def _draw_maps(
-    content: MapFile, picture: Path, settings: MapSettings, limits: Any, real: Sequence[Experiment]
-) -> None:
-    figure = figure_landing_maps(
-        content.maps, limits=limits, experiments=real, short=settings.rules.short, long=settings.rules.long
-    )
-    save_figure(figure, picture)
 
 
 def _print(
@@ -170,27 +168,12 @@ def _print(
     document = {"file": str(options.out), "figure": str(picture), "maps": counts}
     if print_result(document, options.compute.json) or options.compute.quiet:
         return
-    print_table(_summary_table(counts))
+    print_table(maps_table(counts))
     for drawn in content.maps:
         chosen = of_map(real or (), drawn)
         if chosen:
             _print_confusion(drawn, chosen)
     print(f"wrote {options.out} and {picture}")
-
-
-def _summary_table(counts: Sequence[dict[str, Any]]) -> Table:
-    rows = [
-        (
-            f"{entry['surface'].upper()}, {entry['controller']}",
-            *(at_least(*slope, "g") for slope in zip(entry["steepest_deg"], entry["at_edge"], strict=True)),
-            f"{entry['mean_time']:.2f}",
-            f"{entry['mean_distance']:.2f}",
-            "–" if entry["uncertain"] is None else f"{100 * entry['uncertain']:.2f}",
-        )
-        for entry in counts
-    ]
-    heads = ("map", *(f"{speed:g}" for speed in counts[0]["speeds"]), "time [s]", "way [m]", "doubt [%]")
-    return listed("Steepest slope [deg] that half of the sets land on, by touchdown speed [m/s]", rows, heads)
 
 
 def _print_confusion(drawn: LandingMap, chosen: Sequence[Experiment]) -> None:

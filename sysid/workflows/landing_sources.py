@@ -27,6 +27,7 @@ from sysid.report.drawing import check_figure_name
 from sysid.resume import BlockStore, Computing
 from sysid.storage import check_file
 from sysid.workflows.options import ComputeOptions, MotorOptions, RulesOptions
+from sysid.workflows.provenance import seen_from
 from sysid.workflows.show import load_sets
 
 Computed = TypeVar("Computed")
@@ -68,8 +69,10 @@ def chosen_controllers(
     return chosen
 
 
-def open_fleets(motors: MotorOptions, gears: Sequence[Path]) -> tuple[Fleets, dict[str, Any]]:
-    """Return the drones of every gear file, and where their numbers come from, for the result.
+def open_fleets(
+    motors: MotorOptions, gears: Sequence[Path], out: Path | None = None
+) -> tuple[Fleets, dict[str, Any]]:
+    """Return the drones of every gear file, and where their numbers come from, for the result in `out`.
 
     Raises `SysidError` when sets cannot be used, or two gear files have one surface.
     """
@@ -85,14 +88,16 @@ def open_fleets(motors: MotorOptions, gears: Sequence[Path]) -> tuple[Fleets, di
             "gear file per surface"
         )
     # By surface: fits of two surfaces may well have folders of one name.
-    gear = {surface: _origin(path, sets) for surface, path, sets in zip(surfaces, gears, loaded, strict=True)}
-    origin = {"sysid": __version__, "pairing": motors.pair, "gear": gear}
-    return fleets, origin | {"motor": _origin(motors.motor, motor)}
+    places = zip(surfaces, gears, loaded, strict=True)
+    gear = {surface: _origin(path, sets, out) for surface, path, sets in places}
+    origin = {"sysid": __version__, "pairing": motors.pair, "ideal_reversal": motors.ideal_reversal}
+    return fleets, origin | {"gear": gear, "motor": _origin(motors.motor, motor, out)}
 
 
-def _origin(path: Path, sets: ParameterSets) -> dict[str, Any]:
+def _origin(path: Path, sets: ParameterSets, out: Path | None) -> dict[str, Any]:
     source = {"file": path.name, "name": sets.name, "sets": len(sets), "nrmse": sets.nrmse.tolist()}
-    return source | dict(sets.provenance)
+    place = {} if out is None else {"from_result_folder": seen_from(out.parent, path)}
+    return source | dict(sets.provenance) | place
 
 
 def check_result(what: str, out: Path, force: bool, *pictures: Path) -> None:

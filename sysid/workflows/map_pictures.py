@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,10 @@ from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
 from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps
 from sysid.landing.outcomes import Outcome
+from sysid.landing.store import MapFile
 from sysid.report.html import Html, legend, picture, side_by_side
-from sysid.report.landing_figures import MapLegend, figure_impulse, figure_landing_maps
-from sysid.workflows.landing_maps import static_lines
+from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file
+from sysid.workflows.landing_maps import limits_of
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets
 from sysid.workflows.options import MotorOptions, span
 
@@ -34,7 +36,8 @@ def landing_pictures(
     """
     fleets, settings = _opened(gears, MotorOptions(Path(motor)), slopes, speeds)
     chosen = chosen_controllers(controllers, settings.rules.horizon)
-    return _pictures(landing_maps(fleets, chosen, settings), static_lines(fleets, chosen))
+    maps = landing_maps(fleets, chosen, settings)
+    return file_pictures(MapFile(maps, (), _settings(settings, limits_of(fleets, chosen)), {}))
 
 
 def impulse_pictures(
@@ -58,12 +61,8 @@ def impulse_pictures(
     rear = rear_command(ideal_reversal=ideal_reversal)
     impulses = ImpulseSettings(*tried, rear=rear, ideal_reversal=ideal_reversal)
     best, maps = impulse_maps(fleets, settings, impulses)
-    pieces = []
-    for chart in best:
-        figure = figure_impulse([chart], stacked=True)
-        words = f"delay and duration of the best impulse over touchdown speed and slope, {chart.surface}"
-        pieces.append(picture(figure, words))
-    return _pictures(maps, static_lines(fleets, after_impulses(impulses))) + side_by_side(pieces)
+    limits = limits_of(fleets, after_impulses(impulses))
+    return file_pictures(MapFile(maps, best, _settings(settings, limits), {}))
 
 
 def _opened(
@@ -73,11 +72,19 @@ def _opened(
     return open_fleets(motors, [Path(gear) for gear in gears])[0], settings
 
 
-def _pictures(maps: Sequence[LandingMap], limits: Any) -> Html:
+def _settings(settings: MapSettings, limits: Any) -> dict[str, Any]:
+    return {"rules": asdict(settings.rules), "static_limits": limits}
+
+
+def file_pictures(content: MapFile) -> Html:
+    """Return a narrow picture of every map of a file and of its best impulses, under one legend."""
     pieces, key = [], MapLegend()
-    for chart in maps:
-        figure = figure_landing_maps([chart], limits=limits, legend=key)
-        pieces.append(picture(figure, _words(chart)))
+    for chart in content.maps:
+        pieces.append(picture(figure_of_file(replace(content, maps=(chart,)), key), _words(chart)))
+    for best in content.impulses:
+        figure = figure_impulse([best], stacked=True)
+        words = f"delay and duration of the best impulse over touchdown speed and slope, {best.surface}"
+        pieces.append(picture(figure, words))
     return legend(key.entries()) + side_by_side(pieces)
 
 

@@ -71,6 +71,10 @@ class Flag:
             raise UnitError(f"{name} {text}: expected {self.least:g} {self.unit} or more")
         return value
 
+    def bare(self, value: float) -> str:
+        """Return a value, given in SI, as the bare number that the option reads."""
+        return f"{value / _SI.get(self.unit, 1.0):.12g}"
+
     def shown(self, value: float) -> str:
         """Return a default, given in SI, in the unit of the option."""
         return f"{value / _SI.get(self.unit, 1.0):.6g} {self.unit}"
@@ -363,7 +367,8 @@ class ReportOptions:
     """What a report shows and which further files are written."""
 
     out: Annotated[
-        Path | None, Flag("Write the page to this file.", default="FIT/report.html", panel=_OUTPUT)
+        Path | None,
+        Flag("Write the page to this file.", default="FIT/report.html, or beside the map", panel=_OUTPUT),
     ] = None
     against: Annotated[
         Path | None, Flag("Campaign with other trials, which the sets predict.", read=_campaign_named)
@@ -492,6 +497,9 @@ class TouchdownOptions:
     horizontal_speed: Drift = 0.0
     height: Annotated[
         float | None, Flag("First descend from this height with attitude control.", unit="m")
+    ] = None
+    change: Annotated[
+        str | None, Flag("Fly a changed design, as in k_t=1.5,dx_f=0.8: factors; reversal_delay=50ms adds.")
     ] = None
     rate: Annotated[float, Flag("Write this many samples per second.", unit="Hz", least=10)] = 1000.0
     rules: RulesOptions = field(default_factory=RulesOptions)

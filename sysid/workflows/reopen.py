@@ -24,7 +24,7 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
     path = given
     if path is None:
         stored = stated.get("from_fit_folder")
-        path = _shown_from_here(folder / stored) if stored else None
+        path = shown_from_here(folder / stored) if stored else None
     if path is None or not path.is_file():
         raise FitError(
             f"{folder}: its campaign {stated.get('file', '')!r} is not where it was; name it with --campaign"
@@ -32,7 +32,7 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
     return path
 
 
-def _shown_from_here(path: Path) -> Path:
+def shown_from_here(path: Path) -> Path:
     """Return a path without the steps back in it, from the current folder where it lies in that."""
     path = path.resolve()
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path

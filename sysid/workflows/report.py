@@ -1,9 +1,9 @@
-"""`sysid report`: a fit as one page, with vector figures and films."""
+"""`sysid report`: a fit as one page, with vector figures and films; a page of landing maps or a study."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,11 +21,12 @@ from sysid.report.answer import Reopened
 from sysid.report.drawing import save_figure
 from sysid.report.fit_report import FitReport
 from sysid.report.snapshots import check_film, write_film
-from sysid.storage import write_file
+from sysid.storage import check_file, schema_of, write_file
 from sysid.synthetic.folder import read_truth
 from sysid.trust import documents
 from sysid.types import FloatArray
 from sysid.workflows.kinds import find_report
+from sysid.workflows.map_pages import PAGES
 from sysid.workflows.options import ReportOptions
 from sysid.workflows.predict import predict, predicted_fit
 from sysid.workflows.reopen import open_fit
@@ -110,10 +111,16 @@ def write_report(
 ) -> dict[str, Path]:
     """Write the report of a fit folder and its further files; return the files by what they are.
 
-    Raises `SysidError` when something is missing or would be overwritten; nothing has been written then.
+    A file of landing maps or of a design study has a page of its own. Raises `SysidError` when something is
+    missing or would be overwritten; nothing has been written then.
     """
     options = options or ReportOptions()
     tell = say or (lambda sentence: None)
+    path = Path(folder)
+    if path.is_file() and path.suffix.lower() in (".h5", ".hdf5"):
+        make_page = PAGES.get(schema_of(path, ExportError))
+        if make_page is not None:
+            return {"report": _write_map_page(path, make_page, options)}
     report = open_report(folder)
     out = options.out if options.out is not None else report.folder / "report.html"
     _check_targets(report, options, out)
@@ -169,6 +176,16 @@ def print_report(folder: str | Path, options: ReportOptions, json: bool, say: Sa
         return
     for path in written.values():
         print(f"wrote {path}")
+
+
+def _write_map_page(path: Path, make_page: Callable[[Path], str], options: ReportOptions) -> Path:
+    for name in ("against", "figure", "gif", "mp4", "drop"):
+        if getattr(options, name) is not None:
+            raise ExportError(f"{path}: --{name} is for the report of a fit; leave it out")
+    out = options.out or path.with_suffix(".html")
+    check_file(out, force=options.force, error_type=ExportError)
+    write_file(out, make_page(path).encode("utf-8"), ExportError)
+    return out
 
 
 def _check_targets(report: FitReport, options: ReportOptions, out: Path) -> None:

@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from fakes.landings import read_study
 from fakes.printed import printed
 from sysid.errors import CampaignError, ExportError
 from sysid.export import export
@@ -23,7 +22,7 @@ from sysid.landing.design_study import (
 from sysid.landing.drone import drones
 from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome, Rules
-from sysid.landing.store import write_study
+from sysid.landing.store import read_study, write_study
 from sysid.motor.pair_thrust import thrust_history
 from sysid.report.design_figures import figure_design_study
 from sysid.report.drawing import save_figure
@@ -99,7 +98,8 @@ def study(landed, *, share=0.5, changes=None, points=None, together=False, lost=
     changes = changes or (Change("leg_bending_stiffness", "k_t", "gear", (0.5, 2.0)),)
     points = np.array([[1.0], [0.5], [2.0]][: len(landed)]) if points is None else np.array(points)
     lost = np.zeros(len(landed), dtype=np.int64) if lost is None else np.array(lost)
-    return DesignStudy("sets", "reverse", changes, settings, points, landed, lost)
+    means = (landed < 0.5).astype(np.int8), landed / 2, landed
+    return DesignStudy("sets", "reverse", changes, settings, points, landed, lost, *means)
 
 
 def test_largest_safe_slope_and_landable_width():
@@ -177,7 +177,8 @@ def test_the_file_reads_back(tmp_path):
     assert found.settings == one.settings
     np.testing.assert_array_equal(found.landed, one.landed)
     np.testing.assert_array_equal(found.steepest, one.steepest)
-    np.testing.assert_array_equal(found.lost, one.lost)
+    for name in ("lost", "outcome", "distance", "time"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(one, name))
     (tmp_path / "cut.h5").write_bytes((tmp_path / "s.h5").read_bytes()[:900])
     with pytest.raises(ExportError, match="compute the study again"):
         read_study(tmp_path / "cut.h5")

@@ -9,11 +9,11 @@ import h5py
 import numpy as np
 import pytest
 
-from fakes.landings import read_maps
 from fakes.places import PUBLISHED
 from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome
 from sysid.landing.simulate import HISTORY
+from sysid.landing.store import read_maps
 from sysid.resume import BlockStore
 from sysid.storage import datasets
 from sysid.workflows import landing_sources

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.landings import published, read_maps
+from fakes.landings import published
 from fakes.places import PUBLISHED
 from sysid.errors import CampaignError, ExportError
 from sysid.landing.controllers import find_controller, load_controllers
@@ -17,6 +17,7 @@ from sysid.landing.outcomes import Outcome, Rules
 from sysid.landing.real_landings import Experiment, read_experiments, strangers
 from sysid.landing.scenario import Scenario
 from sysid.landing.simulate import land, land_many
+from sysid.landing.store import read_maps
 from sysid.resume import BlockStore
 from sysid.workflows import landing_maps
 from sysid.workflows.options import span

@@ -1,0 +1,114 @@
+"""Cells of a map that a reader touches: class, distance, time, and the command that simulates the cell."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.landing.maps import cell_edges
+from sysid.landing.outcomes import Outcome, Rules
+from sysid.report.html import Html, filled
+from sysid.report.landing_figures import COLOURS, LOST_COLOUR
+from sysid.types import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class CellAxis:
+    """An axis of cells: its name, and the value of each cell; `even` cells are as wide as each other."""
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    even: bool = False
+
+    @property
+    def texts(self) -> list[str]:
+        """The values as a command states them."""
+        return [f"{value:.12g}" for value in self.values]
+
+
+@dataclass(frozen=True, eq=False)
+class CellChart:
+    """Landings over two axes, and how to simulate each.
+
+    Parameters
+    ----------
+    rows : tuple of str
+        What lands in every cell: R sets, or one row for all.
+    outcome, distance, time : (R, n, m) arrays
+        `Outcome` codes, displacement [m] and time to rest [s], NaN where nothing came to rest.
+    command : tuple
+        Texts, and numbers for what each cell replaces: 0 the value across, 1 the value up, 2 and on the
+        `texts` of the cells, (n, m) arrays of text.
+    doubt : (n, m) bool array, optional
+        Whether half the tolerance changes a class.
+    share : (n, m) array, optional
+        Share of the landings that come to rest within the long distance [1].
+    """
+
+    title: str
+    across: CellAxis
+    up: CellAxis
+    rows: tuple[str, ...]
+    outcome: NDArray[np.int8]
+    distance: FloatArray
+    time: FloatArray
+    command: tuple[str | int, ...]
+    texts: tuple[NDArray[Any], ...] = ()
+    doubt: BoolArray | None = None
+    share: FloatArray | None = None
+
+    def command_at(self, up: int, across: int) -> str:
+        """Return the command that simulates a cell."""
+        own = (self.across.texts[across], self.up.texts[up], *(str(text[up, across]) for text in self.texts))
+        return "".join(own[part] if isinstance(part, int) else part for part in self.command)
+
+    def document(self) -> dict[str, Any]:
+        """Return what the page's script draws: thousandths as whole numbers, cells row by row."""
+
+        def whole(values: FloatArray) -> list[list[int | None]]:
+            flat = 1e3 * values.reshape(len(values), -1)
+            return [[None if not np.isfinite(v) else round(v) for v in row] for row in flat.tolist()]
+
+        def axis(chosen: CellAxis) -> dict[str, Any]:
+            places = range(len(chosen.values)) if chosen.even else chosen.values
+            edges = cell_edges(np.array(places))
+            return {"name": chosen.name, "unit": chosen.unit, "texts": chosen.texts, "edges": edges.tolist()}
+
+        return {
+            "title": self.title, "x": axis(self.across), "y": axis(self.up), "rows": list(self.rows),
+            "outcome": ["".join(map(str, row.ravel().tolist())) for row in self.outcome],
+            "distance": whole(np.abs(self.distance)), "time": whole(self.time),
+            "command": list(self.command), "texts": [text.ravel().tolist() for text in self.texts],
+            "doubt": None if self.doubt is None else "".join(map(str, self.doubt.ravel().astype(int))),
+            "share": None if self.share is None else whole(self.share[None])[0],
+        }  # fmt: skip
+
+
+def class_words(rules: Rules) -> dict[Outcome, str]:
+    """Return what each class means, with the distances of the rules."""
+    return {
+        Outcome.SHORT: f"at rest within {100 * rules.short:g} cm",
+        Outcome.NEAR: f"at rest within {rules.long:g} m",
+        Outcome.FLIPPED: f"flipped within {rules.long:g} m (A)",
+        Outcome.OTHER: f"still moving, or beyond {rules.long:g} m (B)",
+        Outcome.LOST: "the simulation failed",
+    }
+
+
+def explorer(charts: Sequence[CellChart], rules: Rules, notes: Sequence[str] = ()) -> Html:
+    """Return charts to choose from, whose cells pointer, touch and keys read; `notes` stand below."""
+    document = {
+        "charts": [chart.document() for chart in charts],
+        "colours": [COLOURS.get(outcome, LOST_COLOUR) for outcome in Outcome],
+        "words": list(class_words(rules).values()),
+        "long": f"{rules.long:g} m",
+    }
+    # A page ends a script at the first "</script"; JSON may write "<" as an escape.
+    data = json.dumps(document, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return filled("cells.html.j2", titles=[chart.title for chart in charts], notes=notes, data=Html(data))

@@ -1,0 +1,235 @@
+"""Pages of landing maps and design studies: every cell with the command that simulates it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+
+from sysid.landing.design_study import Change, DesignStudy
+from sysid.landing.maps import LandingMap
+from sysid.landing.outcomes import Rules
+from sysid.landing.store import MAPS, STUDY, MapFile, read_maps, read_study
+from sysid.report.cell_explorer import CellAxis, CellChart, explorer
+from sysid.report.design_figures import figure_design_study
+from sysid.report.html import Html, definitions, heading, joined, markup_table, page, paragraph, picture
+from sysid.report.landing_tables import gains_table, maps_table
+from sysid.types import FloatArray
+from sysid.workflows.map_pictures import file_pictures
+from sysid.workflows.options import Flag, RulesOptions
+from sysid.workflows.reopen import shown_from_here
+
+_SLOPE, _SPEED = ("slope", "deg"), ("touchdown speed", "m/s")
+# Parts of a command that each cell replaces, as `CellChart.command` numbers them.
+_ACROSS, _UP, _FIRST = 0, 1, 2
+
+
+def map_page(path: Path) -> str:
+    """Return the page of a file of maps; raises `ExportError` for anything else."""
+    content = read_maps(path)
+    rules, simulate = Rules(**content.settings["rules"]), _Simulate.of(content.provenance, path)
+    charts = _impulse_charts(content, simulate) if content.impulses else _map_charts(content, simulate)
+    notes = list(simulate.notes)
+    if content.impulses:
+        notes.append("The impulse in the command is the best one of set 1.")
+    surfaces = " and ".join(dict.fromkeys(chart.surface.upper() for chart in content.maps))
+    lost = sum(chart.summary()["lost"] for chart in content.maps)
+    words = (
+        f"{path.name}: {len(content.maps)} maps of {surfaces}, {len(charts[0].across.values)} touchdown "
+        f"speeds and {len(charts[0].up.values)} slopes each"
+        + (f"; {lost} landings could not be simulated" if lost else "")
+    )
+    figures = file_pictures(content)
+    table = markup_table(maps_table([chart.summary() for chart in content.maps]))
+    return _page("Landing maps", words, explorer(charts, rules, notes), table, figures, simulate, path)
+
+
+def study_page(path: Path) -> str:
+    """Return the page of a design study; raises `ExportError` for anything else."""
+    study, provenance = read_study(path)
+    rules, simulate = study.settings.maps.rules, _Simulate.of(provenance, path)
+    changes = " and ".join(change.label for change in study.changes)
+    words = f"{path.name}: {study.name}, {study.controller}: {len(study.points)} designs over {changes}"
+    figures = picture(figure_design_study(study), f"largest safe slope over {changes}, by touchdown speed")
+    explored = explorer(_study_charts(study, simulate, provenance), rules, simulate.notes)
+    table = markup_table(gains_table(study))
+    return _page("Design study", words, explored, table, figures, simulate, path)
+
+
+# What `sysid report` makes of an HDF5 file, by its schema.
+PAGES: dict[str, Callable[[Path], str]] = {MAPS.schema: map_page, STUDY.schema: study_page}
+
+
+def _page(
+    title: str, words: str, explored: Html, table: Html, figures: Html, simulate: _Simulate, path: Path
+) -> str:
+    rows = [(name, str(value)) for name, value in simulate.sources.items()]
+    parts = [
+        heading(title, 1), paragraph(f"{words}."),
+        heading("Cells"), explored,
+        heading("In numbers"), table,
+        heading("Figures"), figures,
+        heading("Provenance"), definitions(rows, "where it comes from"),
+    ]  # fmt: skip
+    return page(f"sysid: {path.name}", joined(parts))
+
+
+@dataclass(frozen=True)
+class _Simulate:
+    """`sysid simulate` with the sets, motors and rules of a result, but for the landing itself.
+
+    `gears` are the files of the gear's sets by surface; `notes` say what is not where it was.
+    """
+
+    gears: Mapping[str, Path]
+    common: tuple[str, ...]
+    folder: Path
+    notes: tuple[str, ...]
+    sources: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, provenance: Mapping[str, Any], path: Path) -> _Simulate:
+        """Return the commands of a result in a file, from its provenance."""
+        folder = path.resolve().parent
+
+        def place(origin: Mapping[str, Any]) -> Path:
+            return shown_from_here(folder / origin["from_result_folder"])
+
+        gears = {surface: place(origin) for surface, origin in provenance["gear"].items()}
+        motor = place(provenance["motor"])
+        common = ["--motor", str(motor)]
+        common += ["--pair", "each"] if provenance["pairing"] == "each" else []
+        common += ["--ideal-reversal"] if provenance["ideal_reversal"] else []
+        notes = tuple(
+            f"{place} is not there any more: put the place of these sets into the command."
+            for place in (*gears.values(), motor)
+            if not place.exists()
+        )
+        sources = {f"{surface.upper()} sets": place for surface, place in gears.items()} | {"motors": motor}
+        return cls(gears, tuple(common), folder, notes, sources | {"sysid": provenance["sysid"]})
+
+    def __call__(
+        self, surface: str, slope: str | int, speed: str | int, rules: Mapping[str, Any], *more: str | int
+    ) -> tuple[str | int, ...]:
+        """Return the command of a landing; a number is what each cell replaces, and `more` is as written."""
+        head = shlex.join(["sysid", "simulate", str(self.gears[surface]), *self.common])
+        tail = shlex.join(_stated_rules(rules))
+        parts = [f"{head} --slope ", slope, " --speed ", speed, *more]
+        return tuple([*parts, f" {tail}"] if tail else parts)
+
+    def controller(self, stated: Mapping[str, Any], file: str | None) -> str:
+        """Return the options of a controller as `asdict` states it."""
+        words = ["--controller", stated["name"]]
+        words += ["--trigger", "imu"] if stated["sensing"] else []
+        words += ["--controller-file", str(shown_from_here(self.folder / file))] if file else []
+        return f" {shlex.join(words)}"
+
+
+def _stated_rules(rules: Mapping[str, Any]) -> list[str]:
+    """Return the rules that are not the default as options of a command."""
+    out = []
+    hints = get_type_hints(RulesOptions, include_extras=True)
+    for row in fields(RulesOptions):
+        if rules[row.name] != row.default:
+            flag = next(mark for mark in get_args(hints[row.name]) if isinstance(mark, Flag))
+            out += [f"--{row.name.replace('_', '-')}", flag.bare(rules[row.name])]
+    return out
+
+
+def _map_charts(content: MapFile, simulate: _Simulate) -> list[CellChart]:
+    settings = content.settings
+    start = []
+    if settings["pitch"]:
+        start += ["--pitch", f"{np.degrees(settings['pitch']):.12g}"]
+    if settings["horizontal_speed"]:
+        start += ["--horizontal-speed", f"{settings['horizontal_speed']:.12g}"]
+    count, charts = len(settings["controllers"]), []
+    for number, chart in enumerate(content.maps):
+        stated = settings["controllers"][number % count]
+        more = simulate.controller(stated, settings.get("controller_file"))
+        more += f" {shlex.join(start)}" if start else ""
+        command = simulate(chart.surface, _UP, _ACROSS, settings["rules"], more)
+        charts.append(_map_chart(chart, command))
+    return charts
+
+
+def _map_chart(
+    chart: LandingMap, command: tuple[str | int, ...], texts: Sequence[FloatArray] = ()
+) -> CellChart:
+    return CellChart(
+        chart.title,
+        CellAxis(*_SPEED, tuple(chart.speeds.tolist())),
+        CellAxis(*_SLOPE, tuple(chart.slopes_deg.tolist())),
+        tuple(f"set {number}" for number, _ in enumerate(chart.sets, start=1)),
+        chart.outcome, chart.distance, chart.time, command,
+        texts=tuple(np.array([[f"{v:.12g}" for v in row] for row in each.tolist()]) for each in texts),
+        doubt=np.asarray(chart.uncertain.any(axis=0)) if chart.checked else None,
+    )  # fmt: skip
+
+
+def _impulse_charts(content: MapFile, simulate: _Simulate) -> list[CellChart]:
+    """Return the landings after the best impulse of each cell, three of each surface."""
+    impulses, rules = content.settings["impulses"], content.settings["rules"]
+    levels = "".join(f",{name}={impulses[name]:.12g}" for name in ("front", "rear", "idle"))
+    kinds = (("", impulses["after"]), ("refined_", impulses["after"]), ("", 0.0))
+    charts = []
+    for number, chart in enumerate(content.maps):
+        source, after = kinds[number % len(kinds)]
+        best = content.impulses[number // len(kinds)].optimum
+        more = (
+            " --controller impulse:delay=",
+            _FIRST,
+            ",duration=",
+            _FIRST + 1,
+            f",after={after:.12g}{levels}",
+        )
+        command = simulate(chart.surface, _UP, _ACROSS, rules, *more)
+        charts.append(
+            _map_chart(chart, command, [best[f"{source}{name}"][0] for name in ("delay", "duration")])
+        )
+    return charts
+
+
+def _design_axis(change: Change, values: FloatArray) -> CellAxis:
+    name, unit = (change.symbol, "s more") if change.kind == "reversal" else (change.label, "")
+    return CellAxis(name, unit, tuple(values.tolist()), even=True)
+
+
+def _study_charts(study: DesignStudy, simulate: _Simulate, provenance: Mapping[str, Any]) -> list[CellChart]:
+    """Return the designs over the values of one change, for every touchdown speed and other value."""
+    settings, (surface,) = study.settings, simulate.gears
+    slopes = CellAxis(*_SLOPE, settings.slopes_deg)
+    more = simulate.controller(provenance["controller"], provenance.get("controller_file"))
+    first = study.changes[0]
+    groups: list[tuple[str, int, Any, tuple[str | int, ...]]] = []
+    if settings.together:
+        second = study.changes[1]
+        for value in second.axis:
+            chosen = np.flatnonzero(study.points[:, 1] == value)
+            chosen = chosen[np.argsort(study.points[chosen, 0])]
+            changed: tuple[str | int, ...] = (
+                f" --change {first.name}=",
+                _ACROSS,
+                f",{second.name}={value:.12g}",
+            )
+            groups.append((f"{second.label} {value:.3g}", 0, chosen, changed))
+    else:
+        for c, change in enumerate(study.changes):
+            groups.append((change.label, c, study.along(c), (f" --change {change.name}=", _ACROSS)))
+    charts = []
+    for m, speed in enumerate(settings.speeds):
+        for words, c, chosen, changed in groups:
+            axis = _design_axis(study.changes[c], study.points[chosen, c])
+            cells = [
+                np.moveaxis(a[chosen][:, :, m], 0, 1) for a in (study.outcome, study.distance, study.time)
+            ]
+            command = simulate(surface, _UP, f"{speed:.12g}", vars(settings.maps.rules), *changed, more)
+            charts.append(CellChart(
+                f"{words}, {speed:g} m/s", axis, slopes, ("likeliest; means",), cells[0][None],
+                cells[1][None], cells[2][None], command, share=study.landed[chosen][:, :, m].T,
+            ))  # fmt: skip
+    return charts
