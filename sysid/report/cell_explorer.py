@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ from sysid.landing.maps import cell_edges
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.report.html import Html, filled
 from sysid.report.landing_figures import COLOURS, LOST_COLOUR
+from sysid.report.plots import embedded
 from sysid.types import BoolArray, FloatArray
 
 
@@ -109,6 +109,5 @@ def explorer(charts: Sequence[CellChart], rules: Rules, notes: Sequence[str] = (
         "words": list(class_words(rules).values()),
         "long": f"{rules.long:g} m",
     }
-    # A page ends a script at the first "</script"; JSON may write "<" as an escape.
-    data = json.dumps(document, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    return filled("cells.html.j2", titles=[chart.title for chart in charts], notes=notes, data=Html(data))
+    titles = [chart.title for chart in charts]
+    return filled("cells.html.j2", titles=titles, notes=notes, data=embedded(document))

@@ -69,7 +69,8 @@ def page(title: str, body: Html) -> str:
     parts = [(identity, html.unescape(heading)) for identity, heading in _PART.findall(body.text)]
     plots = "data-plot>" in body.text
     scripts = ["page.js", *(("uplot.min.js", "plots.js") if plots else ())]
-    scripts += ["animation.js"] if "data-animation>" in body.text else []
+    for what in ("animation", "cells"):
+        scripts += [f"{what}.js"] if f"data-{what}>" in body.text else []
     sources = [_source(name) for name in scripts]
     hashes = [base64.b64encode(sha256(text.encode("utf-8")).digest()).decode("ascii") for text in sources]
     style = (_source("uplot.min.css") if plots else "") + _source("page.css")

@@ -1,6 +1,5 @@
-(function () {
-  "use strict";
-  const root = document.currentScript.parentElement;
+document.documentElement.classList.add("scripted");
+for (const root of document.querySelectorAll("[data-cells]")) {
   const content = JSON.parse(root.querySelector('script[type="application/json"]').textContent);
   const find = (what, name) => root.querySelector("[data-" + what + '="' + name + '"]');
   const canvas = root.querySelector("canvas"), pen = canvas.getContext("2d");
@@ -194,4 +193,4 @@
   new ResizeObserver(draw).observe(canvas);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   choose(0);
-})();
+}
