@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from sysid.landing.design_study import Change, DesignStudy
-from sysid.report.drawing import BEST, panels
+from sysid.report.drawing import BEST, WIDTH, panels
 from sysid.types import FloatArray
 
 _COLOURS = ("#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
@@ -28,13 +29,22 @@ def figure_design_study(study: DesignStudy) -> Figure:
     return _map(study) if study.settings.together else _curves(study)
 
 
-def _curves(study: DesignStudy) -> Figure:
-    count = len(study.changes)
-    figure, every = panels(count, min(count, 3), (3.4, 2.9), (1.9, 0.7), sharey=True)
+def narrow_figures(study: DesignStudy) -> dict[str, Figure]:
+    """Return the panels of `figure_design_study` one by one, for a narrow page, by what each shows."""
+    if study.settings.together:
+        return {f"{speed:g} m/s": _map(study, m) for m, speed in enumerate(study.settings.speeds)}
+    return {change.label: _curves(study, c) for c, change in enumerate(study.changes)}
+
+
+def _curves(study: DesignStudy, only: int | None = None) -> Figure:
+    shown = [c for c in range(len(study.changes)) if only in (None, c)]
+    count, alone = len(shown), only is not None
+    cell, around = ((WIDTH, 2.9), (0.0, 1.3)) if alone else ((3.4, 2.9), (1.9, 0.7))
+    figure, every = panels(count, min(count, 3), cell, around, sharey=True)
     landable, steepest = study.landable, study.steepest
     top = max(1.0, float(np.max(landable)), float(np.nanmax(steepest)))
-    for c, (change, panel) in enumerate(zip(study.changes, every, strict=True)):
-        chosen = study.along(c)
+    for k, (c, panel) in enumerate(zip(shown, every, strict=True)):
+        change, chosen = study.changes[c], study.along(c)
         values = study.points[chosen, c]
         panel.axvline(change.neutral, color="0.6", linewidth=0.8, linestyle=":")
         for m, _ in enumerate(study.settings.speeds):
@@ -46,7 +56,7 @@ def _curves(study: DesignStudy) -> Figure:
                     x, y = values[which], steepest[chosen, m][which]
                     panel.plot(x, y, color=colour, marker=marker, markersize=4, linestyle="none")
         _axis(panel, change, values)
-        if c % min(count, 3) == 0:
+        if k % min(count, 3) == 0:
             panel.set_ylabel("slope [deg]")
         panel.set_ylim(0, 1.05 * top)
     handles = [
@@ -59,21 +69,25 @@ def _curves(study: DesignStudy) -> Figure:
         handles.append(
             Line2D([], [], color="0.3", marker=marker, markersize=4, linestyle="none", label=words)
         )
-    figure.legend(handles=handles, loc="outside right upper", frameon=False, title="touchdown at")
-    figure.suptitle(_title(study), fontsize="medium")
+    where: dict[str, Any] = {"loc": "outside lower center", "ncols": 3, "fontsize": 8} if alone else {}
+    figure.legend(
+        handles=handles, frameon=False, title="touchdown at", **{"loc": "outside right upper"} | where
+    )
+    if not alone:
+        figure.suptitle(_title(study), fontsize="medium")
     return figure
 
 
-def _map(study: DesignStudy) -> Figure:
+def _map(study: DesignStudy, only: int | None = None) -> Figure:
     first, second = study.changes
     x, y = np.array(first.axis), np.array(second.axis)
     place = {tuple(point): p for p, point in enumerate(study.points.tolist())}
     grid = np.array([[place[(a, b)] for a in x.tolist()] for b in y.tolist()])
-    speeds = study.settings.speeds
-    columns = min(len(speeds), 4)
-    figure, every = panels(len(speeds), columns, (3.1, 3.0), (1.2, 0.6), grid=False, sharex=True, sharey=True)
+    shown = [m for m in range(len(study.settings.speeds)) if only in (None, m)]
+    columns = min(len(shown), 4)
+    figure, every = panels(len(shown), columns, (3.1, 3.0), (1.2, 0.6), grid=False, sharex=True, sharey=True)
     top = float(np.max(study.landable[grid]))
-    for m, (speed, panel) in enumerate(zip(speeds, every, strict=True)):
+    for k, (m, panel) in enumerate(zip(shown, every, strict=True)):
         values, safe = study.landable[grid, m], study.steepest[grid, m]
         # Cells, not contours: neighbours differ by chance where landings are chaotic.
         mesh = panel.pcolormesh(
@@ -90,12 +104,14 @@ def _map(study: DesignStudy) -> Figure:
         panel.plot(at[0] + across, at[1] + up, color=BEST, linewidth=1.8)
         panel.set_xticks(range(len(x)), [f"{value:.3g}" for value in x])
         panel.set_yticks(range(len(y)), [f"{value:.3g}" for value in y])
-        panel.set_title(f"{speed:g} m/s", fontsize="medium")
-        if m // columns == (len(speeds) - 1) // columns:
+        panel.set_title(f"{study.settings.speeds[m]:g} m/s", fontsize="medium")
+        if k // columns == (len(shown) - 1) // columns:
             panel.set_xlabel(first.label)
-        if m % columns == 0:
+        if k % columns == 0:
             panel.set_ylabel(second.label)
     figure.colorbar(mesh, ax=every, label="width of slopes landed on [deg]")
+    if only is not None:
+        return figure
     figure.suptitle(
         f"{_title(study)}\nnumbers: {_STEEPEST} [deg]; frame: the sets as they are", fontsize="medium"
     )

@@ -77,6 +77,7 @@ def page(title: str, body: Html) -> str:
     return filled(
         "index.html.j2", title=title, version=sysid.__version__, parts=parts, body=body, style=Html(style),
         scripts=[Html(text) for text in sources], policy=" ".join(f"'sha256-{each}'" for each in hashes),
+        plots=plots,
     ).text  # fmt: skip
 
 
@@ -122,6 +123,11 @@ def columns(left: Html, right: Html) -> Html:
     if not left.text or not right.text:
         return left + right
     return Html(f'<div class="columns"><div>{left.text}</div><div>{right.text}</div></div>')
+
+
+def in_true_colours(piece: Html) -> Html:
+    """Return a piece whose pictures keep their colours on a dark page: they mean what a legend says."""
+    return Html(f'<div class="true">{piece.text}</div>')
 
 
 def unfoldable(summary: str, piece: Html, *, opened: bool = False, printed: bool = True) -> Html:

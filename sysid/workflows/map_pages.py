@@ -15,8 +15,18 @@ from sysid.landing.maps import LandingMap
 from sysid.landing.outcomes import Rules
 from sysid.landing.store import MAPS, STUDY, MapFile, read_maps, read_study
 from sysid.report.cell_explorer import CellAxis, CellChart, explorer
-from sysid.report.design_figures import figure_design_study
-from sysid.report.html import Html, definitions, heading, joined, markup_table, page, paragraph, picture
+from sysid.report.design_figures import narrow_figures
+from sysid.report.html import (
+    Html,
+    definitions,
+    heading,
+    joined,
+    markup_table,
+    page,
+    paragraph,
+    picture,
+    side_by_side,
+)
 from sysid.report.landing_tables import gains_table, maps_table
 from sysid.types import FloatArray
 from sysid.workflows.map_pictures import file_pictures
@@ -54,7 +64,10 @@ def study_page(path: Path) -> str:
     rules, simulate = study.settings.maps.rules, _Simulate.of(provenance, path)
     changes = " and ".join(change.label for change in study.changes)
     words = f"{path.name}: {study.name}, {study.controller}: {len(study.points)} designs over {changes}"
-    figures = picture(figure_design_study(study), f"largest safe slope over {changes}, by touchdown speed")
+    figures = side_by_side([
+        picture(figure, f"slopes landed on and largest safe slope over {changes}: {what}")
+        for what, figure in narrow_figures(study).items()
+    ])  # fmt: skip
     explored = explorer(_study_charts(study, simulate, provenance), rules, simulate.notes)
     table = markup_table(gains_table(study))
     return _page("Design study", words, explored, table, figures, simulate, path)

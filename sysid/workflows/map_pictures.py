@@ -14,7 +14,7 @@ from sysid.landing.impulse_maps import after_impulses, impulse_maps
 from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps
 from sysid.landing.outcomes import Outcome
 from sysid.landing.store import MapFile
-from sysid.report.html import Html, legend, picture, side_by_side
+from sysid.report.html import Html, in_true_colours, legend, picture, side_by_side
 from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file
 from sysid.workflows.landing_maps import limits_of
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets
@@ -85,7 +85,7 @@ def file_pictures(content: MapFile) -> Html:
         figure = figure_impulse([best], stacked=True)
         words = f"delay and duration of the best impulse over touchdown speed and slope, {best.surface}"
         pieces.append(picture(figure, words))
-    return legend(key.entries()) + side_by_side(pieces)
+    return in_true_colours(legend(key.entries()) + side_by_side(pieces))
 
 
 def _words(chart: LandingMap) -> str:
