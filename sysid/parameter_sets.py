@@ -156,6 +156,25 @@ _SAME = ("kind", "name", "parameters", "settings", "provenance", "warnings")
 NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
 # Interval, open ends, verdict and doubt of every free parameter, where a fit was assessed.
 INTERVALS = "intervals"
+# How far noise explains what a fit leaves, see `sysid.fit.adequacy`.
+ADEQUACY = "adequacy"
+_ENDS = {"interval_95", "open_95", "verdict"}
+_JUDGED = {"verdict", "sentence", "nrmse", "floor", "ratio", "limits", "channels"}
+_BY_CHANNEL = {"name", "ratio", "by_trial", "autocorrelation"}
+
+
+def _readable(stated: dict[str, Any]) -> dict[str, Any]:
+    """Return settings or provenance without intervals and an adequacy that lack what their readers take.
+
+    Older versions wrote such ones; all else of their fits can be read.
+    """
+    judged, rows = stated.get(ADEQUACY), stated.get(INTERVALS)
+    if judged is not None:
+        whole = judged.keys() >= _JUDGED and all(row.keys() >= _BY_CHANNEL for row in judged["channels"])
+        stated = stated if whole else {key: stated[key] for key in stated if key != ADEQUACY}
+    if rows is not None:
+        stated = stated | {INTERVALS: {name: row for name, row in rows.items() if row.keys() >= _ENDS}}
+    return stated
 
 
 def interval_columns(row: Mapping[str, Any] | None) -> dict[str, Any]:
@@ -262,7 +281,7 @@ class SetsContent:
 
     def __post_init__(self) -> None:
         for name in ("settings", "provenance"):
-            object.__setattr__(self, name, exact_json.plain(getattr(self, name)))
+            object.__setattr__(self, name, _readable(exact_json.plain(getattr(self, name))))
 
     def __repr__(self) -> str:
         count = len(self.nrmse)

@@ -166,7 +166,9 @@ def ladder(
     fit: FitFolder,
     campaign: FitCampaign = None,
     figure: Figure = None,
-    adopt: Annotated[Path | None, Flag("Write a campaign with the terms to keep to this file.")] = None,
+    adopt: Annotated[
+        Path | None, Flag("Write a campaign with the terms to keep to this file.", "--out")
+    ] = None,
     threads: Threads = None,
     force: Force = False,
     quiet: Quiet = False,

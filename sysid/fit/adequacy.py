@@ -204,9 +204,18 @@ def _lasting(problem: Problem, residuals: FloatArray, channel: int) -> float:
     return above / max(below, 1e-300)
 
 
+def scores_in_words(nrmse: float, floor: float, ratio: float) -> str:
+    """Return the NRMSE of the best set beside the noise; numbers as in `Adequacy`.
+
+    The ratio is without what errors of known values explain; where that part shows, so is the NRMSE without.
+    """
+    whole, left = f"{100 * nrmse:.2f} %", f"{100 * ratio * floor:.2f} %"
+    return beside_noise(whole if left == whole else f"{whole}, without errors of known values {left}", floor)
+
+
 def _sentence(judged: Adequacy, at_bound: Sequence[str]) -> str:
     word, where = WORDS[judged.verdict], judged.misfit
-    scores = f"{beside_noise(f'{100 * judged.nrmse:.2f} %', judged.floor)}, {judged.ratio:.2f} × the noise"
+    scores = f"{scores_in_words(judged.nrmse, judged.floor, judged.ratio)}, {judged.ratio:.2f} × the noise"
     if judged.verdict == EXPLAINED_BY:
         return f"{word}: {scores}; worst channel {where.channel}, {where.channel_ratio:.2f} ×"
     text = (

@@ -81,7 +81,7 @@ def print_rungs(document: Row, json: bool, picture: Path | None, campaign: Path 
         f"keep {keep}" if keep else "no term predicts the trials left out better than chance: keep the model"
     ]
     if keep and campaign is None:
-        lines.append("--adopt writes a campaign with these terms")
+        lines.append("--out writes a campaign with these terms")
     if campaign is not None:
         lines.append(f"wrote {campaign}; fit it next")
     print_lines([*lines, f"{document['evaluations']} simulations in {document['seconds']:.0f} s"])

@@ -136,7 +136,8 @@ def open_campaign(
         if name not in model.laws:
             lacks = f"a campaign of kind {campaign.kind!r} has no {name}"
             raise CampaignFileError(f"{path}: {lacks}; leave --{name} out")
-    campaign, ignored = model.under(campaign, {**(settings or {}), **law})
+    with naming_campaign(path):
+        campaign, ignored = model.under(campaign, {**(settings or {}), **law})
     return model, campaign, ignored
 
 

@@ -20,6 +20,7 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from sysid.errors import CampaignError, ExportError, LogError, SysidError, UnitError
+from sysid.journal import notice
 from sysid.units import parse_quantity
 
 Options = TypeVar("Options")
@@ -242,10 +243,16 @@ _NO_LOGS = {".toml", ".json", ".md", ".html", ".pdf", ".png", ".svg", ".py", ".c
 
 
 def log_files(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """Return logs, and those in folders by name: every file but hidden ones, campaigns, JSON and pictures."""
+    """Return logs, and those in folders by name: every file but hidden ones, campaigns, JSON and pictures.
+
+    Of several files, as ``drops/*`` names them, these are left out as well, and noticed.
+    """
     out: list[Path] = []
     for path in paths:
         inside = [path]
+        if len(paths) > 1 and path.suffix.lower() in _NO_LOGS and not path.is_dir():
+            notice("no-log", f"{path}: a {path.suffix} file is no log; left out")
+            continue
         if path.is_dir():
             inside = sorted(
                 file for file in path.iterdir()
@@ -254,6 +261,8 @@ def log_files(paths: tuple[Path, ...]) -> tuple[Path, ...]:
             if not inside:
                 raise LogError(f"{path}: no log in this folder; name the logs, or the folder that holds them")
         out += inside
+    if paths and not out:
+        raise LogError(f"{paths[0]}: is no log, nor are the other files; name the logs, or their folder")
     return tuple(out)
 
 

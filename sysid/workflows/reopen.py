@@ -26,9 +26,8 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
         stored = stated.get("from_fit_folder")
         path = shown_from_here(folder / stored) if stored else None
     if path is None or not path.is_file():
-        raise FitError(
-            f"{folder}: its campaign {stated.get('file', '')!r} is not where it was; name it with --campaign"
-        )
+        name = f"its campaign {stated['file']!r} is not where it was" if stated else "it names no campaign"
+        raise FitError(f"{folder}: {name}; put it there, or name it with --campaign")
     return path
 
 

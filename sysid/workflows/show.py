@@ -6,10 +6,10 @@ from pathlib import Path
 
 from sysid import exact_json
 from sysid.export import load_parameter_sets
-from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
-from sysid.parameter_sets import INTERVALS, ParameterSets
+from sysid.parameter_sets import ADEQUACY, INTERVALS, ParameterSets
 from sysid.report.fold import print_lines, print_table
 from sysid.report.set_tables import (
     adequacy_table,
@@ -73,19 +73,21 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
 
 def verdict_on(result: FitResult) -> str:
     """Return whether noise explains the fit, and what the data leave open, in one sentence."""
-    found, judged = result.provenance.get("findings", ()), result.provenance["adequacy"]
+    found, judged = result.provenance.get("findings", ()), result.provenance.get(ADEQUACY)
     lost = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}
     intervals = result.settings.get(INTERVALS, {})
     lost |= {name for name, row in intervals.items() if row["verdict"].startswith("not_")}
     known = f"not determined: {', '.join(sorted(lost))}" if lost else "every free parameter is determined"
-    if judged["verdict"] == NOT_BY and not lost:
-        known = "no parameter is well known"
+    if judged is None:
+        fits = f"not compared with the noise, NRMSE {100 * result.nrmse[0]:.2f} %"
+    else:
+        scores = scores_in_words(*(judged[key] for key in ("nrmse", "floor", "ratio")))
+        fits = f"{WORDS[judged['verdict']]}, {scores}"
+        if judged["verdict"] == NOT_BY and not lost:
+            known = "no parameter is well known"
     warned = len(result.warnings)
-    return (
-        f"{WORDS[judged['verdict']]}, NRMSE {100 * result.nrmse[0]:.2f} % (noise alone: "
-        f"{100 * judged['floor']:.2f} %); {known.replace('_', ' ')}; "
-        f"{warned or 'no'} warning{'' if warned == 1 else 's'}{' above' if warned else ''}"
-    )
+    count = f"{warned or 'no'} warning{'' if warned == 1 else 's'}"
+    return f"{fits}; {known.replace('_', ' ')}; {count}"
 
 
 def _print_tables(sets: ParameterSets) -> None:

@@ -63,8 +63,8 @@ def test_a_right_model_is_kept_as_it_is(tmp_path):
 
 def test_refusals(lag, tmp_path, refused):
     path, folder = lag
-    refused("write it to", "ladder", folder, "--adopt", tmp_path / "elsewhere.toml")
-    refused("exists", "ladder", folder, "--adopt", path)
+    refused("write it to", "ladder", folder, "--out", tmp_path / "elsewhere.toml")
+    refused("exists", "ladder", folder, "--out", path)
     _, few = fitted(tmp_path, names=NAMES[:5])
     refused("needs 5 or more", "ladder", few)
 
