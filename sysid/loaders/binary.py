@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import io
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from threading import Lock
 from types import ModuleType
 from typing import Any
 
@@ -39,9 +40,9 @@ def reading(path: str, what: str, remedy: str) -> Iterator[None]:
         raise LogError(f"{path}: {what} is damaged or cut ({words}); {remedy}") from error
 
 
-# All that a file unpacks to is less than so many times its size, where it is larger than this [bytes].
+# A file may unpack to 20 times its size, and any file to 256 MB.
 _GAIN, _SMALL = 20, 1 << 28
-_LIMIT = Lock()
+_LIMIT = threading.Lock()
 
 
 def most_bytes(size: int) -> float:
@@ -60,9 +61,9 @@ def check_claim(path: str, what: str, claimed: float, there: float) -> None:
 
 @contextmanager
 def bounded_memory(most: float) -> Iterator[None]:
-    """Let this process take at most so many bytes more, on Linux, which alone keeps such a limit.
+    """Let this process take at most this much more memory [bytes]; only Linux keeps such a limit.
 
-    For a library in C that believes a length before it looks for what is so long. One limit at a time: a
+    A library in C may believe a length before it looks for that many bytes. There is one limit at a time: a
     second one in another thread leaves the first.
     """
     pages = Path("/proc/self/statm")
@@ -80,6 +81,49 @@ def bounded_memory(most: float) -> Iterator[None]:
     finally:
         resource.setrlimit(resource.RLIMIT_AS, before)
         _LIMIT.release()
+
+
+# A load may take a minute and a second more for each 500 kB: thirty times what a whole file takes.
+_TIME, _TIME_PER_BYTE = 60.0, 2e-6
+
+
+class _OverdueError(BaseException):
+    """Raised inside a load that takes too long; a parser's ``except Exception`` does not catch it."""
+
+
+@contextmanager
+def bounded_time(path: str) -> Iterator[None]:
+    """Refuse a file whose load takes far longer than its size explains, in any thread and on any system.
+
+    A library in C is stopped when it returns to Python. What could keep it for ever is refused before, by
+    `sysid.loaders.hdf5` and `sysid.loaders.readers.ros_bag`.
+    """
+    size = Path(path).stat().st_size
+    most = _TIME + _TIME_PER_BYTE * size
+    thread, ended, lock = ctypes.c_ulong(threading.get_ident()), threading.Event(), threading.Lock()
+    raise_there = ctypes.pythonapi.PyThreadState_SetAsyncExc
+
+    def end() -> None:
+        with lock:
+            if not ended.is_set():
+                raise_there(thread, ctypes.py_object(_OverdueError))
+
+    timer = threading.Timer(most, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        try:
+            yield
+        finally:
+            with lock:
+                ended.set()
+            timer.cancel()
+            raise_there(thread, None)  # where it has not arrived yet
+    except _OverdueError:
+        raise LogError(
+            f"{path}: not read after {most:.3g} s, far longer than {size / 1e6:.3g} MB explain; the file is "
+            "damaged, so copy or export it again"
+        ) from None
 
 
 def length_note(stated: int, there: int) -> list[Finding]:

@@ -23,6 +23,7 @@ import numpy as np
 
 from sysid.errors import LogError, SysidError
 from sysid.journal import notice
+from sysid.loaders.binary import bounded_time
 from sysid.loaders.columns import naming
 from sysid.loaders.options import DECLARED, Option
 from sysid.loaders.source import Source, one_line
@@ -194,7 +195,8 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
             with naming(f"{source.path}: {name} = {value!r}"):
                 given[name] = parse_quantity(value, option.unit)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # of damaged numbers
+        # The warnings are of damaged numbers.
+        with np.errstate(over="ignore", invalid="ignore"), bounded_time(source.path):
             return chosen.read(source, **given)
     except SysidError as error:
         raise type(error)(one_line(str(error))) from error

@@ -1,14 +1,18 @@
 """Files that promise more than they have, reach outside or would take all memory are refused."""
 
+import sqlite3
 import struct
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import h5py
 import numpy as np
 import pytest
 
-from fakes.log_files import c3d, hdf5, notes, refuses, tdms
+from fakes.log_files import c3d, hdf5, notes, quaternions_of, refuses, ros_recording, small_turns, tdms
 from fakes.log_worker import Worker
-from sysid.loaders import load
+from sysid.errors import LogError
+from sysid.loaders import binary, load, registry
 
 ONES = np.ones(50)
 
@@ -156,3 +160,86 @@ def test_names_that_are_a_page_or_turn_the_line_are_shown_as_one_line(tmp_path):
     sentence = refuses(path, 'no dataset "Fz" or "Mz"', format="load-cell-hdf5")
     assert len(sentence) < 1500
     assert not set("\u202e\x1b") & set(sentence)
+
+
+def mcap_chunk(claimed, data, packing=b"lz4"):
+    body = (
+        struct.pack("<QQQII", 0, 1, claimed, 0, len(packing)) + packing + struct.pack("<Q", len(data)) + data
+    )
+    profile = struct.pack("<I", 4) + b"ros2" + struct.pack("<I", 0)
+    records = ((1, profile), (6, body), (2, bytes(20)))
+    mark = b"\x89MCAP0\r\n"
+    return mark + b"".join(struct.pack("<BQ", kind, len(data)) + data for kind, data in records) + mark
+
+
+def bag_chunk(claimed, data, packing=b"bz2"):
+    fields = (b"op=\x05", b"compression=" + packing, b"size=" + struct.pack("<I", claimed))
+    header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
+    chunk = struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+    return b"#ROSBAG V2.0\n" + chunk
+
+
+@pytest.mark.parametrize("data", [mcap_chunk(10**12, b"x" * 50), bag_chunk(2**32 - 1, b"x" * 50)])
+def test_a_recording_that_claims_to_unpack_to_far_more_than_it_is(tmp_path, data):
+    path = tmp_path / "log.bag"
+    path.write_bytes(data)
+    refuses(path, "all that its chunks unpack to claims .* at most 2.684e\\+08 for it; it is damaged")
+
+
+def test_a_recording_that_unpacks_to_more_than_it_says(tmp_path, monkeypatch):
+    """Only the library sees the lie, when it has unpacked all of it; on Linux its memory is bounded."""
+    pytest.importorskip("resource")
+    import lz4.frame
+
+    monkeypatch.setattr(binary, "_SMALL", 1 << 24)
+    path = tmp_path / "log.mcap"
+    path.write_bytes(mcap_chunk(1000, lz4.frame.compress(bytes(1 << 29))))
+    assert path.stat().st_size < 3e6
+    assert "MemoryError" in refuses(path, "bag is damaged or cut")
+
+
+@pytest.mark.parametrize(
+    "computed",
+    [
+        "CREATE VIEW endless AS WITH RECURSIVE n(i) AS (SELECT 1 UNION SELECT i + 1 FROM n) SELECT i FROM n",
+        "ALTER TABLE topics ADD COLUMN large AS (zeroblob(1000000000))",
+    ],
+)
+def test_a_database_whose_content_is_computed(tmp_path, computed):
+    turns = quaternions_of(small_turns(np.random.default_rng(1), 20))
+    stamps = np.arange(20) * 10_000_000
+    path = ros_recording(tmp_path, "sqlite", {"/quad": (stamps, np.zeros((20, 3)), turns, 0)})
+    load(path)
+    with sqlite3.connect(path) as base:
+        base.execute(computed)
+    base.close()
+    refuses(path, "(endless|topics) is computed by SQLite, where a recording has plain tables")
+
+
+@pytest.mark.parametrize("threads", [0, 2])
+def test_a_reader_that_does_not_end_is_stopped(tmp_path, monkeypatch, threads):
+    """Also in a thread, and where the parser goes on after every exception."""
+
+    def stuck(source):
+        while True:
+            try:
+                time.sleep(0.01)
+            except Exception:
+                continue
+
+    form = registry.LogFormat("stuck", "never ends", lambda source: registry.NO, stuck, {})
+    monkeypatch.setattr(registry, "_built_in", lambda: {"stuck": form})
+    monkeypatch.setattr(binary, "_TIME", 0.2)
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"1")
+
+    def refused(_):
+        with pytest.raises(LogError, match=r"log.csv: not read after 0.2 s, far longer than 1e-06 MB"):
+            load(path, format="stuck")
+        time.sleep(0.05)  # a second exception would arrive here
+
+    if threads:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(refused, range(threads)))
+    else:
+        refused(0)
