@@ -25,7 +25,7 @@ from sysid.fit.stopping import CutReason
 from sysid.journal import Finding, notice, tell
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
-from sysid.types import BoolArray, FloatArray
+from sysid.types import BoolArray, FloatArray, IntArray
 
 # NRMSE of noise where a channel shows none: as coarse as its last digit, so not known any better.
 ASSUMED_NOISE = 0.02
@@ -323,6 +323,12 @@ class Problem(ABC):
         """Return what the intervals take as exact, by the parameter whose range would count."""
         return {}
 
+    @cached_property
+    def pieces(self) -> tuple[tuple[str, ...], IntArray]:
+        """What a ladder leaves out in turn: names, and which one each residual (m,) belongs to; trials."""
+        rows = np.repeat([block.trial for block in self.blocks], [b.stop - b.start for b in self.blocks])
+        return self.names, rows
+
     # --- what every model shares ----------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
@@ -611,6 +617,8 @@ class Kind:
         (campaign, settings of a fit) -> (the campaign under the law of that fit, what is noticed).
     terms : tuple of Term
         Physics on trial, see `sysid.trust.ladder`.
+    simpler : callable
+        (fitted problem) -> (title, simpler model of the same trials) pairs that the ladder compares.
     laws : tuple of str
         Settings that a user may state instead of the campaign's; `under` reads them.
     """
@@ -623,5 +631,6 @@ class Kind:
     candidates: Callable[[Any, FloatArray], tuple[Problem, Sequence[str]] | None] = _no_candidates
     under: Callable[[Any, Mapping[str, Any]], tuple[Any, tuple[Finding, ...]]] = _as_stated
     terms: tuple[Term, ...] = ()
+    simpler: Callable[[Any], Sequence[tuple[str, Problem]]] = lambda problem: ()
     laws: tuple[str, ...] = ()
     words: Words = Words()

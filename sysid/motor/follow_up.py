@@ -284,7 +284,7 @@ def _judge(
     ]
     cut: CutReason | None = None
     try:
-        rungs = climb(problem, best, banded, course.settings, sets.seed[0], course.go_on)
+        rungs = climb(problem, best, banded, course.go_on)
         below = (None, *rungs[:-1])
         settings[_LADDER] = [rung.document(other) for rung, other in zip(rungs, below, strict=True)]
         _notice(ladder_doubt(rungs))

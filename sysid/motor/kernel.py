@@ -15,6 +15,9 @@ I_sat   saturation_current     A
 Ω_min   saturation_speed       rad/s           edge of the dead band
 a, b    no_load_*              rad/s           Ω_0(u) = a u + b sign(u), per direction
 c2, c1  torque_*                               c2 Ω|Ω| + c1 Ω, per direction
+R_s     supply_resistance      Ω               terms on trial, see `sysid.motor.model`
+V_dead  dead_time_voltage      V
+w       winding_warming        1/(A²·s)
 ======  =====================  ==============  ==================================================
 
 The right-hand side is smooth between events, and each event ends a step: a command change, a knot of the
@@ -22,10 +25,11 @@ supply voltage, Ω = 0, |Ω| = Ω_min, and inside the dead band |I| = I_sat and 
 of RODAS, an L-stable Rosenbrock method of order 4(3) with six stages and a continuous extension of order
 3 (Hairer & Wanner, Solving Ordinary Differential Equations II, 2nd ed., section IV.7), because the search
 bounds allow L/R of microseconds and rotor time constants of 0.1 s. On two states each stage is a 2 × 2
-product.
+product. Resistance and dead-time voltage are constant in a step; without terms on trial they are constant
+altogether, and every bit is as without.
 """
 
-from math import inf, sqrt
+from math import exp, inf, sqrt
 
 import numpy as np
 from numba import njit
@@ -45,6 +49,9 @@ READS = (
     "command_delay",
     *(f"no_load_{name}_{way}" for way in ("forward", "reverse") for name in ("slope", "intercept")),
     *(f"torque_{name}_{way}" for way in ("forward", "reverse") for name in ("quadratic", "linear")),
+    "supply_resistance",
+    "dead_time_voltage",
+    "winding_warming",
 )
 R, L = READS.index("winding_resistance"), READS.index("winding_inductance")
 K_D = READS.index("viscous_damping")
@@ -52,6 +59,7 @@ K_V, K_M = READS.index("back_emf_constant"), READS.index("torque_constant")
 INERTIA = READS.index("rotor_inertia")
 I_SAT, OMEGA_MIN = READS.index("saturation_current"), READS.index("saturation_speed")
 DELAY = READS.index("command_delay")
+SAG, DEAD, WARMING = (READS.index(name) for name in READS[-3:])
 # First of four coefficients: two of forward rotation, and `REVERSE` columns further the same of reverse.
 NO_LOAD = READS.index("no_load_slope_forward")
 TORQUE = READS.index("torque_quadratic_forward")
@@ -69,6 +77,8 @@ MAX_STEPS, CANDIDATE_STEPS = 400_000, 4_000_000
 _EVENT = 6
 # Time scale that turns a speed scale into a torque scale for the absolute tolerance of the current [s].
 _SPIN_UP_TIME = 0.1
+# Current below which the dead-time voltage fades [A], and the longest step with it [s].
+_DEAD_CURRENT, _DEAD_STEP = 0.1, 5e-4
 
 _GAMMA = 0.25
 _C2, _C3, _C4 = 0.386, 0.21, 0.63
@@ -100,14 +110,42 @@ def no_load_speed(command, row):
 
 
 @njit(cache=True, error_model="numpy")
-def steady_state(voltage, row):
-    """Return current [A] and speed [rad/s] at rest under a constant voltage; NaN where there is none."""
+def resistance(command, row):
+    """Return R + R_s u² [Ω] of a cold winding: the supply carries u I, and u of its sag R_s u I counts."""
+    return row[R] + row[SAG] * (command * command)
+
+
+@njit(cache=True, error_model="numpy")
+def _dead_time(step, command, current, gap, res, ind, drop):
+    """Return voltage [V] and resistance [Ω] that dead time adds in a step; `gap` is the voltage less k_v Ω.
+
+    The drop V_dead I/√(I² + I_0²) is linear about the current half-way. Ω_0(u) is measured with a current
+    that drives, so nothing is added there; against the command it is twice the drop.
+    """
+    side = 1.0 if command > 0.0 else -1.0 if command < 0.0 else 0.0
+    half = current
+    for _ in range(4):
+        size = half * half + _DEAD_CURRENT * _DEAD_CURRENT
+        slope = drop * _DEAD_CURRENT * _DEAD_CURRENT / (size * sqrt(size))
+        volt = drop * side - (drop * half / sqrt(size) - slope * half)
+        target = (gap + volt) / (res + slope)
+        half = target + (current - target) * exp(-0.5 * step * (res + slope) / ind)
+    return volt, slope
+
+
+@njit(cache=True, error_model="numpy")
+def steady_state(voltage, command, row):
+    """Return current [A] and speed [rad/s] at rest under a constant voltage; NaN where there is none.
+
+    With a cold winding, and a current that drives.
+    """
     sign = 1.0 if voltage >= 0.0 else -1.0
     k = TORQUE if sign > 0.0 else TORQUE + REVERSE
-    gain = row[K_M] / row[R]
+    res = resistance(command, row)
+    gain = row[K_M] / res
     linear = row[k + 1] + row[K_D] + gain * row[K_V]
     speed = 2.0 * gain * abs(voltage) / (linear + sqrt(linear * linear + 4.0 * row[k] * gain * abs(voltage)))
-    return sign * (abs(voltage) - row[K_V] * speed) / row[R], sign * speed
+    return sign * (abs(voltage) - row[K_V] * speed) / res, sign * speed
 
 
 @njit(cache=True, error_model="numpy")
@@ -249,6 +287,7 @@ def integrate(
     n_command = command_time.size
     n_supply = supply_time.size
     res, ind, k_v, k_m, inertia = row[R], row[L], row[K_V], row[K_M], row[INERTIA]
+    drop, warming, heat = row[DEAD], row[WARMING], 0.0
     i_sat = inf if ideal else row[I_SAT]
     omega_min = row[OMEGA_MIN]
     t = begin
@@ -280,7 +319,9 @@ def integrate(
 
     while True:
         # The voltage is linear in time until the next command or the next knot of the supply.
-        base = k_v * no_load_speed(command[at_command], row)
+        level = command[at_command]
+        base = k_v * no_load_speed(level, row)
+        cold = resistance(level, row)
         t_break = t_end
         if at_command + 1 < n_command:
             t_break = min(t_break, command_time[at_command + 1] + row[DELAY])
@@ -299,7 +340,7 @@ def integrate(
 
         if fresh:
             if start == STEADY:
-                current, speed = steady_state(volt_segment, row)
+                current, speed = steady_state(volt_segment, level, row)
                 if not (np.isfinite(current) and np.isfinite(speed)):
                     status = NO_STEADY_STATE
                     break
@@ -327,6 +368,12 @@ def integrate(
             last = h >= t_break - t
             step = t_break - t if last else h
             volt = volt_segment + volt_rate * (t - t_segment)
+            res = cold * (1.0 + warming * heat)
+            if drop != 0.0:
+                step = min(step, _DEAD_STEP)
+                last = last and step == t_break - t
+                more, slope = _dead_time(step, level, current, volt - k_v * speed, res, ind, drop)
+                volt, res = volt + more, res + slope
             clip = in_band and over and rising
             limit = i_sat if current > 0.0 else -i_sat
             k_eff = 0.0 if clip else k_m
@@ -415,6 +462,7 @@ def integrate(
             at_sample = write_cubic(samples, at_sample, t, t_next, step, turn, speeds)
             at_edge = write_charge(edges, at_edge, t, t_next, step, charge, limit, clip, flow, charges)
             charge += step * (limit if clip else integral(1.0, current, x, x3, x4))
+            heat += step * (current * current + current * x + x * x) / 3.0
             t, current, speed = t_next, x, y
 
             if event == 1:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from sysid.campaign import MotorCampaign
-from sysid.fit.problem import Kind, Words
+from sysid.fit.problem import Kind, Term, Words
 from sysid.motor.candidates import candidate_trials
 from sysid.motor.follow_up import begin_fit, follow_up
 from sysid.motor.known_values import motor_space, prepare_bench
+from sysid.motor.ladder import simpler
 from sysid.motor.model import PARAMETERS
 from sysid.motor.problem import MotorProblem
 
@@ -27,6 +28,12 @@ MOTOR = Kind(
     begin=begin_fit,
     follow_up=follow_up,
     candidates=candidate_trials,
+    terms=(
+        Term("supply sags", ("supply_resistance",)),
+        Term("switches have a dead time", ("dead_time_voltage",)),
+        Term("winding warms", ("winding_warming",)),
+    ),
+    simpler=simpler,
     words=Words(
         single="trial of its kind",
         misleads="another supply, tare or state of the motor",

@@ -1,26 +1,21 @@
-"""The ladder: what each step of the model buys, on trials that the search has not seen.
+"""The ladder of a motor fit: what each step of the model buys, on trials that the search has not seen.
 
     first-order lag → equations (1-3) without L → full → full with saturation
 
-The same search fits every rung to the same forward and reverse trials: CMA-ES with one population, stop rule
-and seed, once from near the fit's best set, as far as the rung has its parameters, and once from all around
-it. The better run counts, so that no rung is worse for a search that missed its optimum. Rungs below the last
-are scored without a dead band, which only starts from rest and reversals show. Judge a step by its held-out
-columns: an inductance is not real because a search returned one.
+Least squares fits every rung to the same forward and reverse trials from starts around the fit's best set, as
+far as the rung has its parameters. Rungs below the last are scored without a dead band, which only
+starts from rest and reversals show. `sysid ladder` judges the same simpler models, and terms that the motor
+lacks, on parts of trials left out. An inductance is not real because a search returned one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from sysid.fit.breeders.algorithms import Start, breeder
-from sysid.fit.breeders.breeder import Breeder
-from sysid.fit.objective import SpreadObjective
-from sysid.fit.search import Hooks, SearchSettings, run_many
 from sysid.journal import Finding
 from sysid.motor import first_order_lag as lag
 from sysid.motor.cost import CHANNELS, MotorTarget
@@ -31,13 +26,10 @@ from sysid.motor.parameters import SENSORS
 from sysid.motor.problem import MotorProblem
 from sysid.motor.static_curves import turns
 from sysid.motor.targets import PreparedTrial
-from sysid.parallel import LocalThreads
 from sysid.parameters import ParameterTable, SearchSpace
-from sysid.types import FloatArray, IntArray
+from sysid.trust.ladder import downhill, starts_near
+from sysid.types import BoolArray, FloatArray, IntArray
 
-# Every rung's search, of two to some ten parameters. From the best set a search keeps to the valley of the
-# full model; 0.3 of the cube's edge, cma's own advice for a bounded one, leaves it where a better one is.
-_POPULATION, _SPREADS = 24, (0.1, 0.3)
 # Compared instants below which a group of samples has no NRMSE, and their least standard deviation as a share
 # of the trial's: a start that a stall cuts down to a rotor at rest has none.
 _LEAST, _LEAST_SPREAD = 10, 0.1
@@ -140,39 +132,42 @@ def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:
     return SearchSpace.build(table, free, values, bounds)
 
 
+def _simpler(problem: MotorProblem) -> Iterator[tuple[str, MotorProblem]]:
+    """Yield the codes of simpler models, and each on the same trials."""
+    space = problem.space
+    yield "lag", LagProblem(
+        problem.campaign, problem.bench, lag_space(space, problem.bench), problem.prepared, problem.targets,
+        {}, problem.threads,
+    )  # fmt: skip
+    if "winding_inductance" in space.names:
+        fixed = {**space.fixed, "winding_inductance": _NO_INDUCTANCE}
+        free = tuple(row for row in space.free if row.name != "winding_inductance")
+        yield "without_inductance", replace(problem, space=SearchSpace(space.table, free, fixed))
+
+
+def simpler(problem: MotorProblem) -> list[tuple[str, MotorProblem]]:
+    """Return the simpler models of a problem of fitted trials with their titles."""
+    return [(_TITLES[code], less) for code, less in _simpler(problem)]
+
+
 def climb(
     problem: MotorProblem,
     best: Mapping[str, float],
     saturated: bool,
-    settings: SearchSettings,
-    seed: int,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> tuple[Rung, ...]:
     """Fit every rung to the fitted trials, score it on every trial.
 
-    The searches begin at `best`, the fit's best set by name [SI]; names left out begin at their nominal
-    values. The last rung takes its dead band, which was fitted or given where `saturated`, and every rung its
-    delays of the logs that only the stage of the dead band saw. The stop rule of `settings` counts;
-    `should_stop` is asked after every generation, and raises where the fit must end.
+    `best` is the fit's best set by name [SI]; names left out begin at their nominal values. The last rung
+    takes its dead band, which was fitted or given where `saturated`, and every rung its delays of the logs
+    that only the stage of the dead band saw. `should_stop` is asked before every step, and raises where the
+    fit must end.
     """
-    # An eighth of the paper's population may take eight times the generations of a run.
-    generations = 8 * settings.stop.max_generations
-    stop = replace(settings.stop, max_generations=generations, time_limit=None, max_evaluations=None)
-    budget = SearchSettings(_POPULATION, len(_SPREADS), seed, stop, "cmaes", "none")
-    space, bench = problem.space, problem.bench
     trials, targets, groups = zip(*_parts(problem), strict=True)
 
-    def built(
-        model: type[MotorProblem], space: SearchSpace, trials: tuple[PreparedTrial, ...]
-    ) -> MotorProblem:
-        """Return a model on some trials, without their starts from rest."""
-        return model.build(problem.campaign, space, bench, trials, problem.threads, dynamic=True)
-
-    def scored(
-        model: type[MotorProblem], space: SearchSpace, row: FloatArray, *, ideal: bool
-    ) -> dict[str, tuple[float, float]]:
+    def scored(model: MotorProblem, row: FloatArray, *, ideal: bool) -> dict[str, tuple[float, float]]:
         """Return the means of every group of a row (1, n_table), without a dead band where `ideal`."""
-        every = replace(built(model, space, trials), targets=targets, ideal_reversal=ideal)
+        every = replace(model, prepared=trials, targets=targets, ideal_reversal=ideal)
         nrmse = every.score(row).by_channel[0]
         out = {}
         for name in (part.format(use) for part in _PARTS for use in _USES.values()):
@@ -182,53 +177,36 @@ def climb(
                 out[name] = (float(torque), float(speed))
         return out
 
-    def fitted(model: type[MotorProblem], name: str, space: SearchSpace) -> tuple[Rung, FloatArray]:
+    def fitted(name: str, model: MotorProblem) -> tuple[Rung, FloatArray]:
         """Fit and score a model without a dead band; return the rung and its row (1, n_table)."""
-        searched = built(model, space, bench.fitted)
-        values, cube, spent = _search(searched, best, budget, Hooks(should_stop=should_stop))
+
+        def residuals(cube: FloatArray) -> tuple[FloatArray, BoolArray]:
+            should_stop()
+            return model.residuals(cube)
+
+        space = model.space
+        cube, spent = downhill(model, starts_near(space, best), residuals)
+        values = dict(zip(space.names, space.decode(cube).tolist(), strict=True))
         row = averaged(space, space.full(cube))
         # A log that only the stage of the dead band saw has its delay from there.
         for delay in log_rows(space):
             if delay in best:
                 row[:, space.table.index[delay]] = best[delay]
-        return Rung(name, values, scored(model, space, row, ideal=True), spent), row
+        return Rung(name, values, scored(model, row, ideal=True), spent), row
 
-    rungs = [fitted(LagProblem, "lag", lag_space(space, bench))[0]]
-    if "winding_inductance" in space.names:
-        fixed = {**space.fixed, "winding_inductance": _NO_INDUCTANCE}
-        free = tuple(row for row in space.free if row.name != "winding_inductance")
-        rungs.append(fitted(MotorProblem, "without_inductance", SearchSpace(space.table, free, fixed))[0])
-    full, row = fitted(MotorProblem, "full", space)
+    searched = problem.fitted
+    rungs = [fitted(name, less)[0] for name, less in _simpler(searched)]
+    full, row = fitted("full", searched)
     rungs.append(full)
     for name in SATURATION:
-        row[:, space.table.index[name]] = best[name]
-    last = scored(MotorProblem, space, row, ideal=False)
+        row[:, problem.space.table.index[name]] = best[name]
+    last = scored(searched, row, ideal=False)
     # A log that starts from rest passes the dead band as well, and a dead band that was not fitted must show.
     if saturated or any(not np.allclose(last[g], full.nrmse[g], rtol=1e-3, equal_nan=True) for g in last):
         values = full.values | {name: float(best[name]) for name in SATURATION}
         name = "saturation" if saturated else "saturation_given"
         rungs.append(Rung(name, values, last, full.evaluations))
     return tuple(rungs)
-
-
-def _search(
-    problem: MotorProblem, best: Mapping[str, float], budget: SearchSettings, hooks: Hooks
-) -> tuple[dict[str, float], FloatArray, int]:
-    """Return the best free values by name, their place in the unit cube, and the number of candidates."""
-    space = problem.space
-    begin = np.array([best.get(row.name, row.nominal) for row in space.free])
-    point = space.encode(begin).clip(0.0, 1.0)
-    spreads = dict(zip(budget.run_seeds(), _SPREADS, strict=True))
-
-    def near(name: str, n_free: int, population: int, seed: int, start: Start | None) -> Breeder:
-        return breeder(name, n_free, population, seed, Start(point, np.full(n_free, spreads[seed])))
-
-    with LocalThreads() as where:
-        spread = SpreadObjective(problem, where)
-        runs = run_many(spread, budget, hooks=hooks, at_once=where.at_once, breeds=near)
-    cube = min(runs, key=lambda run: float(run.best[-1])).best_point
-    values = dict(zip(space.names, space.decode(cube).tolist(), strict=True))
-    return values, cube, sum(run.evaluations for run in runs)
 
 
 def ladder_doubt(rungs: Sequence[Rung]) -> Finding | None:

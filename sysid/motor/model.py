@@ -13,6 +13,16 @@ with one pair of coefficients per direction (a cambered propeller is weaker in r
 serve Ω ≥ 0 and u > 0. A load cell under the motor feels the stator's reaction k_m I_eff − k_d Ω, positive
 when the motor drives the rotor forward, and the thrust T, positive along the forward thrust.
 
+Terms on trial, zero by default, for `sysid ladder` (`sysid.motor.kind`)::
+
+    R → (R + R_s u²) (1 + w ∫ I² dt)         V_c → V_c + V_dead (sign u − I/√(I² + 0.01 A²))
+
+The supply carries u I on average, so that its resistance R_s counts with u² [2]_. Dead time takes a voltage
+against the current [3]_; Ω_0(u) contains it while the current drives, so it shows in braking, twice. Copper
+warms by the lost power, from the start of a trial on, without cooling: for seconds; w is 0.0039/K times R
+over the winding's heat capacity [4]_. Neither cogging is a term, whose mean over a turn is zero and which
+turns with kilohertz at flight speeds, nor dry friction of the rotor, which is in b of Ω_0(u).
+
 Valid when the electrical commutation is much faster than L/R and the air is still; ignores axial and
 radial airspeed, temperature, and any current limit or regeneration policy of the speed controller.
 
@@ -30,6 +40,12 @@ References
 ----------
 Bass and Lussier Desbiens, Improving Multirotor Landing Performance on Inclined Surfaces Using Reverse
 Thrust, section II-A.2, equations (1-4), Table I.
+
+.. [2] Erickson and Maksimović, Fundamentals of Power Electronics, 2nd ed., 2001, chapter 3: losses on the
+   input side of a converter count with the square of its duty cycle.
+.. [3] Jeong and Park, The Analysis and Compensation of Dead-Time Effects in PWM Inverters, IEEE Transactions
+   on Industrial Electronics 38(2), 1991.
+.. [4] Hanselman, Brushless Permanent Magnet Motor Design, 2nd ed., 2003.
 """
 
 from __future__ import annotations
@@ -161,7 +177,9 @@ def steady_state(
     omega_0 = np.atleast_1d(no_load_speed(command, parameters))
     ratio = np.ones_like(omega_0) if voltage is None else np.asarray(voltage) / p["reference_voltage"]
     volts = np.broadcast_to(p["back_emf_constant"] * omega_0 * ratio, omega_0.shape)
-    pairs = np.array([kernel.steady_state(v, row) for v in volts.ravel()]).reshape(*omega_0.shape, 2)
+    levels = np.broadcast_to(np.asarray(command, dtype=np.float64), omega_0.shape)
+    each = zip(volts.ravel(), levels.ravel(), strict=True)
+    pairs = np.array([kernel.steady_state(v, u, row) for v, u in each]).reshape(*omega_0.shape, 2)
     shape = np.shape(command)
     return pairs[..., 0].reshape(shape), pairs[..., 1].reshape(shape)
 

@@ -110,6 +110,18 @@ PARAMETERS = ParameterTable(
         *_curve_rows("thrust", "T", "N", 1.2e-5, 0.62e-5, 1e-9, 1e-3),
         *_curve_rows("torque", "τ", "N·m", 1.65e-7, 1.7e-7, 1e-11, 1e-5),
         *instrument_rows(),
+        *(
+            Parameter(name, symbol, unit, 0.0, 0.0, upper, "linear", meaning,
+                      "0: none, as in the paper; bounds guessed", "term")
+            for name, symbol, unit, upper, meaning in (
+                ("supply_resistance", "R_s", "Ω", 0.5,
+                 "Resistance of battery and wires in front of the controller, which its command scales."),
+                ("dead_time_voltage", "V_dead", "V", 1.0,
+                 "Voltage that the dead time of the controller's switches takes against the current."),
+                ("winding_warming", "w", "1/(A²·s)", 5e-3,
+                 "Rise of the resistance per squared current and time, as the winding warms."),
+            )
+        ),
     ],
     derived=("k2_over_R", "R_over_L", "k_I_sat", "electromechanical_time_constant"),
 )  # fmt: skip

@@ -39,6 +39,8 @@ FIT_TOLERANCE = 1e-5
 _MEMORY = 4e6
 # How long a step is followed, several times a motor's time constant [s].
 _FOLLOWS = 0.3
+# Parts of all trials together that a ladder leaves out, about.
+_PIECES = 12
 _INDEX = PARAMETERS.index
 
 
@@ -138,15 +140,30 @@ class MotorProblem(Problem):
         """The trials of the dynamic fit, without their starts from rest."""
         return self.of(self.bench.fitted)
 
+    @cached_property
+    def pieces(self) -> tuple[tuple[str, ...], IntArray]:
+        """What a ladder leaves out in turn: a few commands of a trial with what follows them."""
+        most, found = max(1, _PIECES // len(self.prepared)), {}
+        names: list[str] = []
+        for t, (prepared, trial) in enumerate(zip(self.prepared, self.trials, strict=True)):
+            steps = prepared.log.steps.time
+            inside = steps[(steps > trial.time[0]) & (steps < trial.time[-1])]
+            cuts = inside[[part[0] for part in np.array_split(np.arange(len(inside)), most) if len(part)][1:]]
+            part = np.searchsorted(cuts, trial.time, side="right")
+            found[t] = len(names) + part
+            names += [f"{trial.name} from {time:.2f} s" for time in (trial.time[0], *cuts)]
+        return tuple(names), np.concatenate([found[block.trial] for block in self.blocks])
+
     # --- scores and signals ---------------------------------------------------------------------------------
 
     def complete(self, rows: FloatArray) -> FloatArray:
         """Return rows (P, n_table) [SI] with the no-load lines that belong to their R and k_d."""
         rows = np.array(rows, dtype=np.float64)
         column = {name: rows[:, i] for name, i in _INDEX.items()}
-        drop = column["winding_resistance"] / (column["torque_constant"] * column["back_emf_constant"])
+        scale = column["torque_constant"] * column["back_emf_constant"]
+        drop, sag = column["winding_resistance"] / scale, column["supply_resistance"] / scale
         for direction, tie in self.ties.items():
-            line = tie.line(drop, column["viscous_damping"])
+            line = tie.line(drop, column["viscous_damping"], sag)
             rows[:, [_INDEX[name] for name in no_load_line(direction)]] = line
         return rows
 

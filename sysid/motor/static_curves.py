@@ -114,17 +114,24 @@ class NoLoadTie:
         return _soft_weights(np.column_stack([u, sign, u * u / sign]), self.points[:, 0])
 
     @cached_property
-    def lines(self) -> tuple[FloatArray, FloatArray]:
-        """Slope and intercept (2,) of the weighted lines of Ω [rad/s] and of τ [N·m] over u, at V_ref."""
+    def lines(self) -> FloatArray:
+        """Slope and intercept (4, 2) of the weighted lines over u, at V_ref: of Ω, τ, u²Ω and u²τ [SI]."""
         root = np.sqrt(self.weights)
         columns = root[:, None] * self.columns
-        speed, torque = (np.linalg.lstsq(columns, root * values, rcond=None)[0] for values in self.points.T)
-        return speed, torque
+        u = self.columns[:, 0] / np.abs(self.columns[:, 1])
+        values = [*self.points.T, *(u * u * self.points.T)]
+        return np.array([np.linalg.lstsq(columns, root * each, rcond=None)[0] for each in values])
 
-    def line(self, drop: FloatArray, damping: FloatArray) -> FloatArray:
-        """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,)."""
-        speed, torque = self.lines
-        return np.asarray((1.0 + drop * damping)[:, None] * speed + drop[:, None] * torque, dtype=np.float64)
+    def line(self, drop: FloatArray, damping: FloatArray, sag: FloatArray | None = None) -> FloatArray:
+        """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,).
+
+        `sag` (P,) is the same of the supply's resistance R_s, which counts with u².
+        """
+        speed, torque, squared_speed, squared_torque = self.lines
+        line = (1.0 + drop * damping)[:, None] * speed + drop[:, None] * torque
+        if sag is not None:
+            line = line + sag[:, None] * (damping[:, None] * squared_speed + squared_torque)
+        return np.asarray(line, dtype=np.float64)
 
     def fit(self, direction: Rotation, drop: float, damping: float) -> CurveFit:
         """Return the line at one R/(k_m k_v) and k_d, and how well the points lie on it.

@@ -17,8 +17,9 @@ Row = Mapping[str, Any]
 
 
 def _rows(document: Row) -> list[tuple[str, Row]]:
-    """Return every rung with its words: the base, each term alone, then what was added to the best one."""
-    rows = [("as fitted", document["base"])]
+    """Return every rung with its words: simpler models, the base, each term alone, then the best together."""
+    rows = [(rung["terms"][0], rung) for rung in document["simpler"]]
+    rows.append(("as fitted", document["base"]))
     rows += [
         (rung["terms"][0], rung) for rung in sorted(document["alone"], key=lambda r: np.mean(r["left_out"]))
     ]
@@ -29,9 +30,16 @@ def _changes(document: Row, rung: Row) -> str:
     """Return the values of the terms and how far the other parameters go, the two farthest."""
     symbols, values, before = document["symbols"], rung["values"], document["base"]["values"]
     new = [f"{symbols[name]} {rounded(value, 3)}" for name, value in values.items() if name not in before]
-    moved = {name: values[name] / value - 1 for name, value in before.items() if value}
+    moved = {name: values[name] / value - 1 for name, value in before.items() if value and name in values}
     far = sorted(moved, key=lambda name: -abs(moved[name]))[:2]
     return ", ".join([*new, *(f"{symbols[name]} {100 * moved[name]:+.0f} %" for name in far)])
+
+
+def _kept(document: Row, rung: Row) -> Cell:
+    """Return whether a term is kept, or of a simpler model, whether what it lacks is needed."""
+    if rung in document["simpler"]:
+        return Cell("too simple" if rung["kept"] else "as good", "" if rung["kept"] else "doubtful")
+    return Cell("yes", "good") if rung["kept"] else Cell("no")
 
 
 def rungs_table(document: Row) -> Table:
@@ -41,7 +49,7 @@ def rungs_table(document: Row) -> Table:
         (
             words, number(rung["over_noise"], 3), number(float(np.mean(rung["left_out"])), 3),
             "" if rung is base else number(rung["chance"], 2),
-            "" if rung is base else Cell("yes", "good") if rung["kept"] else Cell("no"),
+            "" if rung is base else _kept(document, rung),
             "" if rung is base else _changes(document, rung),
         )
         for words, rung in _rows(document)

@@ -252,8 +252,10 @@ class LadderRung(Part):
 class LadderDocument(TrustPart):
     """``ladder.json``: the fit, each term of its kind added alone, then the best ones together.
 
-    ``symbols`` are of all parameters that a rung has, ``keep`` the titles and ``parameters`` the names of the
-    terms that are worth their place.
+    ``simpler`` are models that lack something, by their title in ``terms``: their ``gain`` and ``chance`` are
+    of the fit's model over them, ``kept`` says that what they lack is needed. ``trials`` names what was left
+    out in turn: the trials, or parts of them. ``symbols`` are of all parameters that a rung has, ``keep`` the
+    titles and ``parameters`` the names of the terms that are worth their place.
     """
 
     trials: list[str]
@@ -261,6 +263,7 @@ class LadderDocument(TrustPart):
     base: LadderRung
     alone: list[LadderRung]
     together: list[LadderRung]
+    simpler: list[LadderRung] = Field(default_factory=list)
     keep: list[str]
     parameters: list[str]
     evaluations: int

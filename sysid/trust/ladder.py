@@ -1,15 +1,16 @@
 """What is missing in a model: declared terms added to a fit, judged on trials left out.
 
 Every rung frees the parameters of a term, walks downhill from the fit's optimum, and is fitted again without
-each trial in turn. A term is kept where it predicts the trials left out better than the rung below by more
-than chance. A trial's gain is the logarithm of the factor by which its NRMSE falls. If a term buys nothing,
-every gain may as well have the other sign: the chance is the share of all sign changes under which the best
-of the terms looked at gains as much on average (max-statistic, Westfall & Young 1993).
+each trial in turn, or each part of one (`Problem.pieces`). A term is kept where it predicts the trials left
+out better than the rung below by more than chance. Simpler models of a kind are judged alike, the fit's model
+as what it adds to each. A trial's gain is the logarithm of the factor by which its NRMSE falls. If a term
+buys nothing, every gain may as well have the other sign: the chance is the share of all sign changes under
+which the best of the terms looked at gains as much on average (max-statistic, Westfall & Young 1993).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,8 +21,8 @@ from sysid.fit.problem import Problem, Term
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
 from sysid.trust.least_squares import solve
-from sysid.trust.problem import nrmse_of, scales, trial_rows
-from sysid.types import FloatArray
+from sysid.trust.problem import nrmse_of, scales
+from sysid.types import BoolArray, FloatArray
 
 # A term is kept up to this probability of chance, if it buys at least this of the noise [1].
 CHANCE, LEAST_GAIN = 0.05, 0.01
@@ -33,6 +34,8 @@ _CHANGES = 4096
 MOST = 4
 # Where a term's walks begin, from its value in the paper's model on [unit cube]; the first cannot end worse.
 _STARTS = (0.0, -0.15, 0.05, 0.3)
+# Further starts of a simpler model.
+_AROUND = 7
 _TOLERANCE, _ITERATIONS, _ITERATIONS_WITHOUT = 1e-4, 15, 6
 
 
@@ -43,7 +46,7 @@ class TermFit:
     Parameters
     ----------
     terms : tuple of Term
-        That it has; none in the base.
+        That it has; none in the base. Of a simpler model one that names it.
     problem : Problem
         Whose free parameters are those of the fit, then of the terms.
     point : (n,) array
@@ -53,9 +56,10 @@ class TermFit:
     ratio : float
         The same over what noise alone costs [1].
     left_out : (T,) array
-        NRMSE over noise of each trial, predicted by the fit of the others [1]; NaN where not computed.
+        NRMSE over noise of each piece, predicted by the fit of the others [1]; NaN where not computed.
     gain, chance : float
-        Mean gain over the rung below, and the probability that it is chance [1]; NaN of the base.
+        Mean gain over the rung below, and the probability that it is chance [1]; NaN of the base. Of a
+        simpler model: what the base gains over it.
     """
 
     terms: tuple[Term, ...]
@@ -82,11 +86,12 @@ class TermFit:
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """The base, each term alone, then the best ones together, every rung with the one it is compared to."""
+    """The base, each term alone, the best ones together, and simpler models."""
 
     base: TermFit
     alone: tuple[TermFit, ...]
     together: tuple[TermFit, ...]
+    simpler: tuple[TermFit, ...]
     evaluations: int
 
     @property
@@ -104,14 +109,25 @@ def freed(problem: Problem, term: Term) -> Problem:
     return replace(problem, space=SearchSpace(space.table, (*space.free, *extra), fixed))  # type: ignore[type-var]
 
 
+def downhill(
+    problem: Problem, starts: FloatArray, residuals: Callable[[FloatArray], tuple[FloatArray, BoolArray]]
+) -> tuple[FloatArray, int]:
+    """Walk from starts (F, n) [unit cube] to the least mean NRMSE; return where, and the simulated points."""
+    fronts = Fronts.at(starts)
+    walk = descend(fronts, MeanNrmse(problem), tolerance=_TOLERANCE, iterations=_ITERATIONS)
+    evaluations = drive(walk, residuals)
+    fronts.sort()
+    return fronts.points[0].copy(), evaluations
+
+
 class Climber:
     """Fits rungs and counts what they simulate."""
 
     def __init__(self, problem: Problem, start: FloatArray, say: Say = None) -> None:
-        """Begin at the best set (n,) [unit cube] of the fitted trials; FitError for fewer than three."""
-        if len(problem.trials) < FEWEST:
+        """Begin at the best set (n,) [unit cube] of the fitted trials; FitError for too few pieces."""
+        if len(problem.pieces[0]) < FEWEST:
             raise FitError(
-                f"{len(problem.trials)} fitted trials: a ladder is judged on trials left out, and needs "
+                f"{len(problem.pieces[0])} fitted trials: a ladder is judged on trials left out, and needs "
                 f"{FEWEST} or more; fit more trials"
             )
         self.evaluations = 0
@@ -119,8 +135,8 @@ class Climber:
         self._floors = problem.floors(problem.space.full(start[None])[0])
         self._problem, self._start = problem, start
 
-    def climb(self, terms: Sequence[Term]) -> Ladder:
-        """Return the base, each term alone, and the best ones together."""
+    def climb(self, terms: Sequence[Term], simpler: Sequence[tuple[str, Problem]] = ()) -> Ladder:
+        """Return the base, each term alone, the best ones together, and simpler models by title."""
         base = self._left_out(self._fitted((), self._problem, self._start[None]))
         alone = []
         for term in terms:
@@ -136,7 +152,16 @@ class Climber:
             self._say(f"{' and '.join(term.title for term in below.terms)}: which term comes next?")
             best = min((self._with(below, term) for term in others), key=lambda rung: rung.nrmse)
             together += _judged([self._left_out(best)], below)
-        return Ladder(base, tuple(alone), tuple(together), self.evaluations)
+        less = tuple(self._less(base, title, problem) for title, problem in simpler)
+        return Ladder(base, tuple(alone), tuple(together), less, self.evaluations)
+
+    def _less(self, base: TermFit, title: str, problem: Problem) -> TermFit:
+        """Return a simpler model with what the base gains over it."""
+        self._say(f"{title}: fitted, and fitted without each trial")
+        starts = starts_near(problem.space, base.values)
+        rung = self._left_out(self._fitted((Term(title, ()),), problem, starts))
+        over = _judged([base], rung)[0]
+        return replace(rung, gain=over.gain, chance=over.chance)
 
     def _with(self, below: TermFit, term: Term) -> TermFit:
         problem = freed(below.problem, term)
@@ -151,32 +176,43 @@ class Climber:
         return self._fitted((*below.terms, term), problem, np.unique(starts, axis=0))
 
     def _fitted(self, terms: tuple[Term, ...], problem: Problem, starts: FloatArray) -> TermFit:
-        fronts = Fronts.at(starts)
-        walk = descend(fronts, MeanNrmse(problem), tolerance=_TOLERANCE, iterations=_ITERATIONS)
-        self.evaluations += drive(walk, problem.residuals)
-        fronts.sort()
-        levels = nrmse_of(problem.blocks, problem.residuals(fronts.points[:1])[0])[0]
+        point, evaluations = downhill(problem, starts, problem.residuals)
+        self.evaluations += evaluations
+        levels = nrmse_of(problem.blocks, problem.residuals(point[None])[0])[0]
         weights = np.array([block.weight for block in problem.blocks])
         nrmse, floor = float(weights @ levels), float(weights @ self._floors)
-        none = np.full(len(problem.trials), np.nan)
-        return TermFit(terms, problem, fronts.points[0].copy(), nrmse, nrmse / floor, none)
+        none = np.full(len(problem.pieces[0]), np.nan)
+        return TermFit(terms, problem, point, nrmse, nrmse / floor, none)
 
     def _left_out(self, rung: TermFit) -> TermFit:
-        """Fit a rung without each trial, and predict that trial."""
-        problem, point, count = rung.problem, rung.point, len(rung.problem.trials)
-        blocks = problem.blocks
+        """Fit a rung without each piece, and predict that piece."""
+        problem, point, blocks = rung.problem, rung.point, rung.problem.blocks
+        names, piece = problem.pieces
+        count = len(names)
+        left = piece == np.arange(count)[:, None]
         residuals = problem.residuals(point[None])[0][0]
         scale = scales(blocks, nrmse_of(blocks, residuals), len(residuals)) / np.sqrt(rung.nrmse)
         solved = solve(
             problem, np.repeat(point[None], count, axis=0), scale,
-            weights=lambda part: trial_rows(blocks, 1 - np.eye(count)[part], len(scale)),
+            weights=lambda part: 1.0 - left[part],
             tolerance=_TOLERANCE, iterations=_ITERATIONS_WITHOUT,
         )  # fmt: skip
         self.evaluations += solved.evaluations + count
-        levels = nrmse_of(blocks, problem.residuals(solved.points)[0])
-        of_trial = np.array([[block.trial == t for block in blocks] for t in range(count)])
-        weights = np.array([block.weight for block in blocks]) * of_trial
+        squares = problem.residuals(solved.points)[0] ** 2 * left
+        starts = [block.start for block in blocks]
+        valid = np.concatenate([problem.trials[b.trial].valid[:, b.channel] for b in blocks])
+        counts = np.add.reduceat(left * valid, starts, axis=1)
+        levels = np.sqrt(np.add.reduceat(squares, starts, axis=1) / np.maximum(counts, 1))
+        weights = np.array([block.weight for block in blocks]) * (counts > 0)
         return replace(rung, left_out=np.sum(weights * levels, axis=1) / (weights @ self._floors))
+
+
+def starts_near(space: SearchSpace, values: Mapping[str, float]) -> FloatArray:
+    """Return starts (F, n) [unit cube] around values by name [SI]; names left out begin at their nominal."""
+    begin = np.array([values.get(row.name, row.nominal) for row in space.free])
+    point = np.clip(space.encode(begin), 0.0, 1.0)
+    around = 0.15 * np.random.default_rng(0).standard_normal((_AROUND, len(point)))
+    return np.clip(np.vstack([point, point + around]), 0.0, 1.0)
 
 
 def _judged(rungs: Sequence[TermFit], below: TermFit) -> list[TermFit]:

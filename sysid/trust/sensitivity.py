@@ -181,7 +181,8 @@ def _with_each(problem: Problem, view: Linearized, others: Problem) -> FloatArra
     """Return the half-widths (T, n) with each candidate's trial at a view's point; None where one is lost.
 
     The last `common` disturbances are the same in both problems (an error of a static curve), so that one
-    more trial does not average them.
+    more trial does not average them. What a trial has of its own, such as a delay of its log, is one more
+    unknown with each candidate.
     """
     _, failed = others.residuals(view.point[None])
     if failed.any():
@@ -197,7 +198,16 @@ def _with_each(problem: Problem, view: Linearized, others: Problem) -> FloatArra
     changes = others.disturbances(view.point)
     first = len(changes) - common
     shared = problem.disturbances(view.point)[-common:] * view.scale if common else changes[:0]
-    before = view.jacobian.values.T @ shared.T if common else np.zeros((len(view.point), 0))
+    n, m = len(view.point), len(view.jacobian.values)
+    own = [i for i, row in enumerate(problem.space.free) if row.trial]
+    derived = np.column_stack([derived, derived[:, own].sum(axis=1)])
+    derived[:, own] = 0.0
+    known = np.zeros((m, n + 1))
+    known[:, :n] = view.jacobian.values
+    noise = np.zeros((n + 1, n + 1))
+    noise[:n, :n] = view.information.gradient_noise
+    used, point = n + bool(own), np.append(view.point, 0.5)
+    before = known.T @ shared.T if common else np.zeros((n + 1, 0))
     out = []
     for t in range(count):
         chosen = [b for b, block in enumerate(blocks) if block.trial == t]
@@ -208,7 +218,8 @@ def _with_each(problem: Problem, view: Linearized, others: Problem) -> FloatArra
             [blocks[b] for b in chosen], alone, scale, levels[chosen], view.noise, changes[:first]
         )
         after = before + alone.T @ (changes[first:] * scale).T
-        both = np.concatenate([view.jacobian.values, alone])
-        whole = view.information.gradient_noise + spread + after @ after.T - before @ before.T
-        out.append(half_widths(problem.space, view.point, bounded_information(both, whole, view.point).sigma))
+        both = np.concatenate([known, alone])[:, :used]
+        whole = (noise + spread + after @ after.T - before @ before.T)[:used, :used]
+        sigma = bounded_information(both, whole, point[:used]).sigma[:n]
+        out.append(half_widths(problem.space, view.point, sigma))
     return np.array(out)

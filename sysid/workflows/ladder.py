@@ -31,7 +31,7 @@ def climb_ladder(
 
     `adopt` is a campaign file to write, with the terms that are worth their place among the free parameters.
 
-    Raises `FitError` for a kind without terms, fewer than three fitted trials, nothing to adopt, or a file to
+    Raises `FitError` for a kind without terms, too few fitted trials, nothing to adopt, or a file to
     adopt them in that is not in the folder of the campaign.
     """
     began = time.perf_counter()
@@ -51,16 +51,22 @@ def climb_ladder(
             )
         problem = opened.whole.fitted
         journal.noun = opened.kind.words.trials
-        ladder = Climber(problem, np.clip(opened.result.cube[0], 0.0, 1.0), journal.tell).climb(terms)
+        climber = Climber(problem, np.clip(opened.result.cube[0], 0.0, 1.0), journal.tell)
+        ladder = climber.climb(terms, opened.kind.simpler(problem))
         best = ladder.best
         added = [name for term in best.terms for name in term.parameters]
         document = {
             "campaign": opened.stated,
-            "trials": list(problem.names),
-            "symbols": {name: row.symbol for name, row in problem.space.table.items()},
+            "trials": list(problem.pieces[0]),
+            "symbols": {
+                name: row.symbol
+                for of in (problem, *(rung.problem for rung in ladder.simpler))
+                for name, row in of.space.table.items()
+            },
             "base": _rung(ladder.base),
             "alone": [_rung(rung) for rung in ladder.alone],
             "together": [_rung(rung) for rung in ladder.together],
+            "simpler": [_rung(rung) for rung in ladder.simpler],
             "keep": [term.title for term in best.terms],
             "parameters": added,
             "evaluations": ladder.evaluations,

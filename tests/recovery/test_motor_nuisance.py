@@ -247,7 +247,7 @@ def test_without_a_scale_only_its_combinations_are_reported(tmp_path: Path, caps
 def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: float, useful: bool) -> None:
     path = _synthesize(tmp_path / "ladder", 9, winding_inductance=inductance)
     campaign, bench = bench_of(path)
-    climbed = climb(problem_of(campaign, bench), TRUTH, False, SEARCH, 1)
+    climbed = climb(problem_of(campaign, bench), TRUTH, False)
     ladder = [rung.document(below) for rung, below in zip(climbed, (None, *climbed[:-1]), strict=True)]
     by_name = {rung["rung"]: rung for rung in ladder}
     assert list(by_name) == ["lag", "without_inductance", "full"]
