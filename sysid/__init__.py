@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from sysid.api import simulate_landing as simulate_landing
     from sysid.errors import SysidError as SysidError
     from sysid.parameter_sets import ParameterSets as ParameterSets
+    from sysid.workflows.map_pictures import impulse_map as impulse_map
+    from sysid.workflows.map_pictures import landing_map as landing_map
 
 __version__ = "0.1.0"
 # Imported on first use: `import sysid` stays light.
@@ -37,6 +39,7 @@ _HOMES = {
     "sysid.errors": ("SysidError",),
     "sysid.export": ("load_parameter_sets",),
     "sysid.parameter_sets": ("ParameterSets",),
+    "sysid.workflows.map_pictures": ("impulse_map", "landing_map"),
 }  # fmt: skip
 __all__ = sorted(name for names in _HOMES.values() for name in names)
 

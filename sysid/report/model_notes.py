@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from sysid.gear.model import PARAMETERS as GEAR
 from sysid.gear.surfaces.low_friction import low_friction
@@ -14,7 +15,7 @@ from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import no_load_speed, simulate
 from sysid.parameter_sets import ParameterSets
 from sysid.report.diagrams import figure_geometry, figure_modes
-from sysid.report.html import Html, markup_table, picture
+from sysid.report.html import Html, markup_table
 from sysid.report.table import listed
 
 # Table I as printed, and the rating it contradicts.
@@ -94,17 +95,14 @@ def reversal_delay(
     return float(time[reached[0]])
 
 
-def diagram(gear: ParameterSets) -> Html:
+def diagram(gear: ParameterSets) -> Figure:
     """Return the labelled diagram of a set's drone (Fig. 2)."""
-    figure = figure_geometry(gear.set_values(1), math.radians(18.0))
-    alternative = "side view of the drone on a slope with frames, lengths and forces, drawn to scale"
-    return picture(figure, alternative, f"Frames, lengths and forces (Fig. 2), drawn from {gear.name}.")
+    return figure_geometry(gear.set_values(1), math.radians(18.0))
 
 
-def modes() -> Html:
+def modes() -> Figure:
     """Return the modes of the high-friction hybrid (Fig. 5), as the code switches them."""
-    alternative = "four modes of two feet that slip or stick, arrows between them with their conditions"
-    return picture(figure_modes(), alternative, "Modes of the hybrid (Fig. 5), asked of the code itself.")
+    return figure_modes()
 
 
 def symbols(motor: ParameterSets, gear: ParameterSets) -> Html:

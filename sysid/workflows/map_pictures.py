@@ -1,46 +1,82 @@
-"""Landing maps for a page: computed on a coarse grid, one narrow picture per map."""
+"""Landing maps for Python and for a page: a table, one picture of all maps, or a narrow one per map."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
 from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps
-from sysid.landing.outcomes import Outcome
+from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.landing.store import MapFile
 from sysid.report.html import Html, in_true_colours, legend, picture, side_by_side
 from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file
+from sysid.shown import Shown
 from sysid.workflows.landing_maps import limits_of
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets
 from sysid.workflows.options import MotorOptions, span
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-def landing_pictures(
+
+@dataclass(frozen=True, repr=False)
+class LandingMaps(Shown):
+    """Maps of every surface under every controller, and the best impulses where they were searched."""
+
+    content: MapFile
+
+    def __repr__(self) -> str:
+        first = self.content.maps[0]
+        cells = f"{len(first.slopes_deg)} × {len(first.speeds)} cells"
+        return f"<LandingMaps: {len(self.content.maps)} maps of {cells}>"
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the share of the landings of every map that end in each class [%]."""
+        import pandas as pd
+
+        rows = [
+            {"surface": chart.surface, "controller": chart.controller}
+            | {f"{o.name.lower()} [%]": 100.0 * float(np.nanmean(chart.share(o))) for o in OUTCOMES}
+            for chart in self.content.maps
+        ]
+        return pd.DataFrame(rows).round(1)
+
+    def plot(self) -> Figure:
+        """Return the maps in the manner of Fig. 8."""
+        return figure_of_file(self.content)
+
+    def plot_impulse(self) -> Figure:
+        """Return delay and duration of the best impulses in the manner of Figs. 9 and 10."""
+        return figure_impulse(self.content.impulses)
+
+
+def landing_map(
     gears: Sequence[str | Path],
     motor: str | Path,
     *,
     slopes: str = "0:45:3",
     speeds: str = "0.1:2:0.19",
     controllers: Sequence[str] = ("off", "reverse"),
-) -> Html:
-    """Return the maps of every surface under every controller, in the manner of Fig. 8.
+) -> LandingMaps:
+    """Return what becomes of landings over slope and touchdown speed.
 
     There is one file of `gears` per surface. `slopes` [deg] and `speeds` [m/s] are first:last:step or a list,
-    `controllers` as for ``sysid landing-map``.
+    `controllers` as for ``sysid landing-map``. Raises `SysidError` when an input cannot be used.
     """
     fleets, settings = _opened(gears, MotorOptions(Path(motor)), slopes, speeds)
     chosen = chosen_controllers(controllers, settings.rules.horizon)
     maps = landing_maps(fleets, chosen, settings)
-    return file_pictures(MapFile(maps, (), _settings(settings, limits_of(fleets, chosen)), {}))
+    return LandingMaps(MapFile(maps, (), _settings(settings, limits_of(fleets, chosen)), {}))
 
 
-def impulse_pictures(
+def impulse_map(
     gears: Sequence[str | Path],
     motor: str | Path,
     *,
@@ -49,11 +85,11 @@ def impulse_pictures(
     delays: str = "0:0.24:0.04",
     durations: str = "0:0.16:0.04",
     ideal_reversal: bool = False,
-) -> Html:
-    """Return the landings after the best impulse and that impulse itself, in the manner of Figs. 9 to 11.
+) -> LandingMaps:
+    """Return the best impulse of every cell, and what becomes of landings with it.
 
     `delays` and `durations` are tried [s]. Motors of an `ideal_reversal` reverse without delay, and the rear
-    pair then reverses in the impulse (Fig. 11). The rest is as for `landing_pictures`.
+    pair then reverses in the impulse (Fig. 11). The rest is as for `landing_map`.
     """
     motors = MotorOptions(Path(motor), ideal_reversal=ideal_reversal)
     fleets, settings = _opened(gears, motors, slopes, speeds)
@@ -62,7 +98,7 @@ def impulse_pictures(
     impulses = ImpulseSettings(*tried, rear=rear, ideal_reversal=ideal_reversal)
     best, maps = impulse_maps(fleets, settings, impulses)
     limits = limits_of(fleets, after_impulses(impulses))
-    return file_pictures(MapFile(maps, best, _settings(settings, limits), {}))
+    return LandingMaps(MapFile(maps, best, _settings(settings, limits), {}))
 
 
 def _opened(

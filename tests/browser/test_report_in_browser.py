@@ -12,7 +12,7 @@ import pytest
 
 from fakes.hostile import VISIBLE
 from fakes.places import SAMPLES
-from fakes.reports import COARSE, SHORT, notebook_page, short_fits
+from fakes.reports import SHORT, short_fits
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.options import FitOptions, ReportOptions
 from sysid.workflows.report import write_report
@@ -43,7 +43,7 @@ def browser(folder, *flags):
     return webdriver.Chrome(options=options, service=webdriver.ChromeService(paths["chromedriver"]))
 
 
-PAGES = ("gear-lf", "motor", "the-model", "gear-hf", "against", "landing-maps", "bring-your-own-logs")
+PAGES = ("gear-lf", "motor", "gear-hf", "against")
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +53,6 @@ def pages(tmp_path_factory):
     out = {name: write_report(path)["report"] for name, path in short_fits(folder).items()}
     options = ReportOptions(against=other_day(folder), out=folder / "against.html")
     out["against"] = write_report(folder / "gear-lf", options)["report"]
-    short = {"out": str(folder / "first"), "runs": 1, "max_generations": 1}
-    for name, parameters in (("the-model", {}), ("landing-maps", COARSE), ("bring-your-own-logs", short)):
-        out[name] = folder / f"{name}.html"
-        out[name].write_text(notebook_page(name, parameters), encoding="utf-8")
     return out
 
 
@@ -163,17 +159,6 @@ def test_drops_of_two_campaigns_are_told_apart(opened):
     )
     assert len(set(options)) == len(options) == 9
     assert sum(text.startswith("other-day, ") and text.endswith(", not fitted") for text in options) == 1
-
-
-def test_what_inspect_says_is_one_piece(opened):
-    pieces = opened("bring-your-own-logs").execute_script(
-        "return [...document.querySelectorAll('pre')].map(p => p.textContent)"
-    )
-    assert sum("clock of all channels" in text for text in pieces) == 1
-    (inspected,) = (text for text in pieces if "clock of all channels" in text)
-    assert "touchdown near" in inspected
-    assert all(text.strip() for text in pieces)
-    assert "\x1b" not in "".join(pieces)
 
 
 def test_keys_reach_every_control(opened):

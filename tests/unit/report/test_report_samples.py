@@ -1,4 +1,4 @@
-"""Every notebook runs on the sample data and becomes a page: LF and HF, one trial or many, gear and motor."""
+"""Reports of fits of the sample data: LF and HF, one trial or many, gear and motor."""
 
 import re
 import shutil
@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from fakes.places import SAMPLES
-from fakes.reports import COARSE, SHORT, notebook_page, short_fits
+from fakes.reports import SHORT, short_fits
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.options import FitOptions, ReportOptions
 from sysid.workflows.report import write_report
@@ -101,16 +101,3 @@ def test_the_motor_s_report_against_another_campaign(fits, tmp_path):
     shares = re.findall(r"<summary>(?:synthetic-motor, )?forward-2 \(not fitted\): NRMSE ([\d.]+) %", text)
     assert len(shares) == 2
     assert float(shares[0]) == pytest.approx(float(shares[1]), rel=0.02)
-
-
-@pytest.mark.parametrize(
-    ("name", "parameters", "pictures"),
-    [
-        ("the-model", {}, 2),
-        ("landing-maps", COARSE, 8),
-        ("bring-your-own-logs", {"max_generations": 2}, 3),
-    ],
-)  # fmt: skip
-def test_the_other_notebooks(tmp_path, name, parameters, pictures):
-    more = {"out": str(tmp_path / "fit")} if name == "bring-your-own-logs" else {}
-    checked(notebook_page(name, {**parameters, **more}), pictures)

@@ -1,0 +1,95 @@
+"""Notebooks: thin, small, free of this machine's paths, and what they show is what comes out today."""
+
+import json
+import re
+
+import nbformat
+import numpy as np
+import pytest
+
+from fakes.notebooks import NOTEBOOKS, ORDER, differences, execute, texts
+from fakes.places import SAMPLES
+from sysid.loaders import load
+
+# Executed in less than 10 s of processor time, with what they read.
+QUICK = ("the-model",)
+STORED = {path.stem: path for path in NOTEBOOKS.glob("*.ipynb")}
+
+
+def code(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def test_all_notebooks_are_there_and_listed_in_reading_order():
+    assert set(STORED) >= set(ORDER)
+    listed = re.findall(r"\]\(([\w-]+)\.ipynb\)", (NOTEBOOKS / "README.md").read_text(encoding="utf-8"))
+    assert listed == list(ORDER)
+
+
+def test_the_folder_is_small():
+    assert sum(path.stat().st_size for path in NOTEBOOKS.rglob("*") if path.is_file()) < 2_000_000
+
+
+@pytest.mark.parametrize("name", ORDER)
+def test_stored_notebooks_are_thin_shown_and_take_parameters(name):
+    notebook = nbformat.read(STORED[name], as_version=4)
+    nbformat.validate(notebook)
+    cells = code(notebook)
+    assert sum("parameters" in cell.metadata.get("tags", ()) for cell in cells) == 1
+    assert sum(cell.cell_type == "markdown" for cell in notebook.cells) >= 4
+    for cell in cells:
+        # Prose and calls: whatever computes lives in the package, under test.
+        assert not re.search(r"^\s*(def|class|for|while|if|with|try|print)\b", cell.source, re.MULTILINE)
+        assert len(cell.source.splitlines()) <= 8
+        # Nothing prints; a refusal is shown where the notebook asks for one.
+        refusal = "raises-exception" in cell.metadata.get("tags", ())
+        kinds = {output.output_type for output in cell.outputs}
+        assert kinds <= ({"error"} if refusal else {"execute_result", "display_data"}), cell.source
+    assert any("PICTURE" in texts(cell) for cell in cells)
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    assert not re.search(
+        r"/(home|tmp|root|work|Users|mnt)/|[A-Z]:\\\\", STORED[name].read_text(encoding="utf-8")
+    )
+
+
+@pytest.mark.parametrize("name", ORDER)
+def test_links_lead_somewhere(name):
+    notebook = nbformat.read(STORED[name], as_version=4)
+    prose = "".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", prose):
+        assert (NOTEBOOKS / target).exists(), target
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("notebooks")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in ORDER]
+)
+def test_executed_again_a_notebook_shows_what_is_stored(folder, name):
+    assert differences(nbformat.read(STORED[name], as_version=4), execute(name, folder)) == []
+
+
+def test_a_difference_is_found():
+    stored = nbformat.read(STORED["05-landing-maps"], as_version=4)
+    assert differences(stored, stored) == []
+    other = json.loads(json.dumps(stored))
+    text = next(o for c in other["cells"] for o in c.get("outputs", ()) if "26.9" in str(o))
+    text["data"]["text/html"] = text["data"]["text/html"].replace("26.9", "27.9")
+    changed = differences(stored, nbformat.from_dict(other))
+    assert changed
+    assert all("26.9" in sentence and "27.9" in sentence for sentence in changed)
+
+
+def test_the_raw_drops_are_sample_drops_in_other_axes():
+    samples = {path.name[:6]: path for path in (SAMPLES / "gear-lf").glob("drop-*.csv")}
+    for take, drop in (("01", "drop-1"), ("02", "drop-4"), ("03", "drop-5"), ("04", "drop-8")):
+        raw = load(NOTEBOOKS / "raw-drops" / f"take-{take}.csv").channels["F450/position"].values
+        x, y, z = load(samples[drop]).channels["F450/position"].values.T
+        turned = np.column_stack([x, -z, y])
+        seen = np.isfinite(raw).all(axis=1)
+        assert seen.mean() > 0.95
+        # Written to a micrometre.
+        np.testing.assert_allclose(raw[seen], turned[seen], rtol=0, atol=1e-6)
