@@ -315,7 +315,7 @@ class Fit(Shown):
     def trust(self, **options: Any) -> Judgement:
         """Find the interval and verdict of every parameter, with a bootstrap over the trials.
 
-        `options` are those of ``sysid trust``: ``resamples``, ``seed``, ``threads``, ``campaign``. The result
+        `options` as of ``sysid trust``: ``resamples``, ``seed``, ``threads``, ``campaign``. The result
         is kept in the folder, and `table` shows it. Raises SysidError when the campaign cannot be used.
         """
         document = assess_fit(self._folder, python_options(TrustOptions, options))
@@ -325,7 +325,7 @@ class Fit(Shown):
     def report(self, out: str | Path | None = None, **options: Any) -> Path:
         """Write the report as one HTML page and return its path, by default ``report.html`` in the folder.
 
-        `options` are those of ``sysid report``: ``against``, ``figure``, ``gif``, ``drop``, ``force``. Raises
+        `options` as of ``sysid report``: ``against``, ``figure``, ``gif``, ``drop``, ``force``. Raises
         SysidError when something is missing or would be overwritten.
         """
         if out is None and self._kept:

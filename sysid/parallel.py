@@ -94,7 +94,7 @@ def in_threads(kernel: Callable[..., Any], jobs: int, threads: int | None, *argu
     # Whatever has to be compiled is compiled in this thread: Ctrl-C ends it here.
     kernel(0, 0 if workers > 1 else jobs, *arguments)
     if workers > 1:
-        # Several shares per thread: whoever is done first takes the next one.
+        # Several shares per thread: the first thread that is done takes the next share.
         edges = [jobs * share // (_SHARES * workers) for share in range(_SHARES * workers + 1)]
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(lambda first, last: kernel(first, last, *arguments), edges, edges[1:]))
@@ -122,7 +122,7 @@ class LocalThreads(Executor):
         return in_turn
 
     def close(self) -> None:
-        """Wait for the caller that computes; whoever comes later is refused."""
+        """Wait for the caller that computes; later callers are refused."""
         with self._turn:
             self._closed = True
 
@@ -338,7 +338,7 @@ _ONE_CHUNK = threading.Lock()
 
 def _compute(work: Work, rows: FloatArray) -> tuple[float, Columns]:
     """Compute a chunk on a worker; return its computing time [s] and its columns."""
-    # Beside another chunk the measured time would be that of both.
+    # Two chunks at once would each be timed as both.
     with _ONE_CHUNK:
         began = time.perf_counter()
         columns = work(rows)

@@ -100,7 +100,7 @@ class ParameterTable(dict[str, Parameter]):
     def filled(self, given: Mapping[str, float]) -> dict[str, float]:
         """Return a number for every row [its unit]; a name left out takes the nominal.
 
-        Derived numbers and those of single trials, which a set has beside the rows, are left out. An unknown
+        A set's derived numbers and its numbers of single trials are left out. An unknown
         name is a CampaignError.
         """
         for name in given:

@@ -32,7 +32,7 @@ SynthesizedFolder = Annotated[Path, Flag("Folder to write.", "--out")]
 @command(app, "formats", "sysid formats")
 def formats(json: Json = False) -> None:
     """List the log formats that are read, with their options."""
-    from sysid.workflows.inspect import print_formats
+    from sysid.workflows.formats import print_formats
 
     print_formats(json)
 

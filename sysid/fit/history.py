@@ -75,7 +75,7 @@ class StageHistory(Brief):
     wall_time : float
         Of this stage [s].
     causes : tuple of mapping
-        The failed candidates of every generation by cause [1]; empty where none were told apart.
+        The failed candidates of every generation by cause [1]; empty where causes were not recorded.
     """
 
     algorithm: str

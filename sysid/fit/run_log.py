@@ -1,6 +1,6 @@
 """The costs that a run has paid for: all that is needed to continue it exactly.
 
-A breeder is a pure function of its seed and of the costs it was told. A run is therefore continued by
+A breeder is a pure function of its seed and of the costs it was given. A run is therefore continued by
 breeding again from the start and telling the remembered costs, until they are used up: no state of any
 library is stored, and the candidates asked for are compared with a fingerprint of those that were scored.
 Least squares is given residuals, which are not stored: its candidates are simulated again.

@@ -32,7 +32,7 @@ StopReason = Literal[
 ]  # fmt: skip
 CutReason = Literal["time", "interrupted"]
 
-# Launchers pass Ctrl-C on to a child that the terminal has told as well: signals so close [s] are one press.
+# A launcher repeats Ctrl-C to a child that has it from the terminal: signals this close [s] are one press.
 ONE_PRESS = 0.5
 
 # What each reason means to a person; "exhausted" is pymoo's: no new candidate could be bred.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
@@ -120,19 +120,26 @@ def continuous_quaternions(unit: FloatArray) -> tuple[FloatArray, int]:
 
 
 def rotation_quaternions(
-    rotation: Callable[[FloatArray], Rotation], values: FloatArray, seen: BoolArray | None = None
+    kind: str, values: FloatArray, seen: BoolArray | None = None, *order: str, **how: Any
 ) -> FloatArray:
-    """Return quaternions (n, 4), w first, of `values` (n, k) or (n, 3, 3); NaN where not `seen` (finite)."""
+    """Return quaternions (n, 4), w first, of `values` (n, k) or (n, 3, 3); NaN where not `seen` (finite).
+
+    `kind` is how scipy's ``Rotation.from_KIND`` takes the values, ``rotvec``, with the further arguments.
+    """
+    # Imported on first use: it takes longer than all else that the commands without logs need.
+    from scipy.spatial.transform import Rotation
+
     seen = np.asarray(np.isfinite(values).all(axis=1)) if seen is None else seen
     quaternions = np.full((len(values), 4), np.nan)
     if seen.any():
-        quaternions[seen] = np.roll(rotation(values[seen]).as_quat(), 1, axis=1)
+        turns = getattr(Rotation, f"from_{kind}")(*order, values[seen], **how)
+        quaternions[seen] = np.roll(turns.as_quat(), 1, axis=1)
     return quaternions
 
 
 def matrix_quaternions(matrix: FloatArray, seen: BoolArray) -> FloatArray:
     """Return quaternions, w first, of continuous sign, of matrices (n, 3, 3); NaN where not `seen`."""
-    return continuous_quaternions(rotation_quaternions(Rotation.from_matrix, matrix, seen))[0]
+    return continuous_quaternions(rotation_quaternions("matrix", matrix, seen))[0]
 
 
 def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
@@ -141,7 +148,7 @@ def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
     `order` is for example ``"XYZ"``: about X, then the new Y, then the new Z. Rows with NaN give NaN.
     """
     # Upper-case letters are scipy's sign for intrinsic rotations.
-    return rotation_quaternions(partial(Rotation.from_euler, order, degrees=True), angles_deg)
+    return rotation_quaternions("euler", angles_deg, None, order, degrees=True)
 
 
 def body_channels(

@@ -52,7 +52,7 @@ class Hdf5Log:
         self.datasets = self._found()
 
     def _stated_length(self) -> int:
-        """Return the length that the superblock states, or that of the file if its version is not known."""
+        """Return the length that the superblock states; where its version is unknown, the file's length."""
         begin = self.file.userblock_size
         with Path(self.path).open("rb") as stream:
             head = stream.read(begin + 48)[begin:]

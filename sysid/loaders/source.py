@@ -30,7 +30,7 @@ _FEWEST_WORDS = 4
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What Excel writes before a table, to itself: which character parts its cells. The line's end stays.
 _SEPARATOR = re.compile(rb'\A[ ]*"?sep=[^\r\n"]?"?[,;\t ]*(?=[\r\n])', re.IGNORECASE)
-# A sentence about a log is cut to so many characters, its end kept, which says what to do.
+# Most characters of a sentence about a log. A longer one keeps its end, which says what to do.
 _LONGEST = 1200
 # Bytes that are decoded at once, and bytes of the longest line: a header of ten thousand columns is shorter.
 _PIECE, _LINE = 1 << 20, 1 << 20
@@ -110,8 +110,8 @@ class Source:
         if isinstance(options, LogOptions):  # which rows are kept is no matter of what they mean
             options = {name: value for name, value in vars(options).items() if name != "time_back"}
         given = {name: str(value) for name, value in (options or {}).items() if value is not None}
-        told = tuple(replace(finding, sentence=one_line(finding.sentence)) for finding in notes)
-        return Provenance(self.path, self.sha256, format, device, given, told)
+        findings = tuple(replace(finding, sentence=one_line(finding.sentence)) for finding in notes)
+        return Provenance(self.path, self.sha256, format, device, given, findings)
 
 
 def _state(file: int | Path) -> tuple[int, int, int]:
@@ -254,7 +254,7 @@ def shortened(text: str, most: int = 40) -> str:
 
 
 def one_line(sentence: str) -> str:
-    """Return a sentence about a log as one line of printable text of which nobody tires."""
+    """Return a sentence about a log as one line of printable text, shortened if it is very long."""
     text = _on_one_line(sentence)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 300]} ... {text[-295:]}"
 

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
@@ -86,6 +85,8 @@ def motor_transform(path: str, transform: Mapping[str, Any]) -> FloatArray:
     with naming(f"{path}: transform"):
         d = np.array([parse_quantity(str(transform.get(key, "0 m")), "m") for key in ("dx", "dy", "dz")])
         angles = [parse_quantity(str(transform.get(key, "0 rad")), "rad") for key in ("rx", "ry", "rz")]
+    from scipy.spatial.transform import Rotation  # takes long to import
+
     back = Rotation.from_euler("XYZ", angles).as_matrix().T
     cross = np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])
     out = np.zeros((6, 6))

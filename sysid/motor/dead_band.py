@@ -37,9 +37,8 @@ _POPULATION, _GENERATIONS = 40, 5
 # Trials do not feel the dead band when it moves the cost of this many random candidates by less than this
 # share.
 _PROBES, _FELT = 32, 1e-6
-# Values that are tried over the bounds of a profile and near the fitted one, those of the other number for
-# each and on either grid, and the share of the NRMSE below
-# which two dead bands are equally good.
+# Grid points of a profile over its bounds, near the fitted value, and of the other number at each point. Two
+# dead bands whose NRMSE differs by less than the last share are equally good.
 _EDGES, _NEAR, _CURRENTS, _LIMIT = 25, 17, 31, 0.01
 # A range of equally good edges is reported when its ends differ by this ratio.
 _WIDE = 1.5

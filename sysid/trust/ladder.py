@@ -48,7 +48,7 @@ class TermFit:
     terms : tuple of Term
         That it has; none in the base. Of a simpler model one that names it.
     problem : Problem
-        Whose free parameters are those of the fit, then of the terms.
+        Its free parameters are the fit's, then the terms'.
     point : (n,) array
         The optimum [unit cube].
     nrmse : float

@@ -19,8 +19,8 @@ from sysid.loaders import formats, load
 from sysid.loaders.alignment import join_recordings
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Recording
-from sysid.report.fold import print_result, print_table
-from sysid.report.table import listed, number, numbers, table, words
+from sysid.report.fold import print_table
+from sysid.report.table import number, numbers, table, words
 from sysid.storage import check_file
 from sysid.trials.look import BenchReport, ChannelReport, DropReport, LogReport, inspect_recording
 
@@ -135,15 +135,6 @@ def convert_file(
         alignment = f"; {offset.sentence()}"
     write_recording(recording, to)
     return f"wrote {to}: {len(recording.channels)} channels of {path.name}{alignment}"
-
-
-def print_formats(as_json: bool = False) -> None:
-    """Print the formats that are read, with the options of each; installed packages may add formats."""
-    kinds = formats().items()
-    rows = [{"format": name, "reads": kind.describes, "options": list(kind.options)} for name, kind in kinds]
-    if not print_result(rows, as_json):
-        cells = [(name, kind.describes, ", ".join(kind.options) or "none") for name, kind in kinds]
-        print_table(listed("", cells, ("format", "reads", "options"), texts=3))
 
 
 def _clock_words(channel: ChannelReport) -> str:

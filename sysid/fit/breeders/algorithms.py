@@ -2,7 +2,7 @@
 
 A `Breeder` says which candidates to score next and takes their costs; nothing of the libraries' own stop
 rules, histories or evaluation budgets takes part. Its candidates are a pure function of seed and costs, so a
-run that was cut off continues exactly where it was once it has been told the costs that were stored.
+run that was cut off continues exactly where it was once it is given the stored costs.
 
 CMA-ES maps whole generations into the cube (`evolution_strategy`); the others go through pymoo's objects.
 """

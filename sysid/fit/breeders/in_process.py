@@ -42,7 +42,7 @@ class BreederApart(Breeder):
 
     def population(self) -> tuple[FloatArray, FloatArray]:
         """Return points (P, n_free) and costs (P,) of the population, best first."""
-        assert self._population is not None, "a population is known once its costs were told"
+        assert self._population is not None, "a population is known once it was scored"
         return self._population
 
     def close(self) -> None:

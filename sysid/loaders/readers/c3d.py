@@ -110,7 +110,7 @@ class _C3d:
             return np.frombuffer(self.data, order + kind, count, at).astype(
                 np.float64 if kind == "f4" else int
             )
-        # A real of DEC is four times that of Intel, its two words exchanged.
+        # A DEC real, its two words exchanged, reads as four times its value.
         words = np.frombuffer(self.data, "<u2", 2 * count, at).reshape(-1, 2)[:, ::-1]
         return np.ascontiguousarray(words).view("<f4").ravel().astype(np.float64) / 4.0
 

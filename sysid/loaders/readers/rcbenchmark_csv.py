@@ -178,7 +178,7 @@ def _clock(
 ) -> tuple[FloatArray, FloatArray | None, list[Finding]]:
     """Return the clock [s], and instead of it point numbers and the stand's times where rows are averaged.
 
-    `columns` are those of the time and of the command.
+    `columns` are the time's, which may be missing, and the command's.
     """
     column, command = columns
     again = np.ones(numbers.lines.size, dtype=np.bool_)

@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
@@ -196,7 +195,7 @@ def _rotation(
     with naming(f'{path}: angles of "{name}"'):
         factor = factor_to_si(stated_units.pop() or "rad", "rad")
     if chosen == "helical":
-        return rotation_quaternions(Rotation.from_rotvec, stacked(("RX", "RY", "RZ")) * factor)
+        return rotation_quaternions("rotvec", stacked(("RX", "RY", "RZ")) * factor)
     return euler_quaternions(chosen, np.degrees(stacked([f"R{axis}" for axis in chosen]) * factor))
 
 
