@@ -5,7 +5,7 @@ import pytest
 
 from fakes.foreign_gear import simulator
 from sysid.campaign import read_campaign
-from sysid.fit.adequacy import adequacy, misfit_finding, verdict_of
+from sysid.fit.adequacy import adequacy, misfit_finding, scores_in_words, verdict_of
 from sysid.gear import model
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.synthetic.gear import DropPlan
@@ -45,6 +45,13 @@ def test_noise_explains_the_truth_and_nothing_is_noticed(tmp_path):
         0.8 < channel.ratio < 1.2 and abs(channel.autocorrelation) < 0.15 for channel in found.channels
     )
     assert misfit_finding(found) == ()
+
+
+def test_ratio_and_nrmse_of_a_verdict_are_of_one_definition():
+    # 0.81 times a noise of 0.39 % is what errors of known values leave of 0.39 %, not the 0.39 % themselves.
+    words = scores_in_words(0.0039, 0.0039, 0.81)
+    assert words == "NRMSE 0.39 %, without errors of known values 0.32 % (noise alone: 0.39 %)"
+    assert scores_in_words(0.083, 0.083, 1.0) == "NRMSE 8.30 % (noise alone: 8.30 %)"
 
 
 def test_a_misfit_that_the_mean_hides_is_named_with_its_place(tmp_path):

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from sysid.cli import app
 from sysid.cli.adapter import command
 from sysid.cli.root import EXIT_CODES, GROUPS
-from sysid.errors import CampaignError, UnitError
+from sysid.errors import CampaignError, LogError, SysidWarning, UnitError
 from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.outcomes import Rules
 from sysid.workflows.options import (
@@ -114,6 +114,14 @@ def test_folders_stand_for_what_lies_in_them(tmp_path):
         (tmp_path / name).touch()
     assert campaign_file(tmp_path) == tmp_path / "b.toml"
     assert log_files((tmp_path, tmp_path / "c")) == (tmp_path / "a.h5", tmp_path / "z.csv", tmp_path / "c")
+    # As a shell writes drops/*: what is no log is left out, and said.
+    with pytest.warns(SysidWarning, match=r"truth\.json: a \.json file is no log; left out"):
+        assert log_files((tmp_path / "truth.json", tmp_path / "z.csv")) == (tmp_path / "z.csv",)
+    with (
+        pytest.warns(SysidWarning, match="no log"),
+        pytest.raises(LogError, match="is no log, nor are the other files"),
+    ):
+        log_files((tmp_path / "truth.json", tmp_path / "b.toml"))
     (tmp_path / "c.toml").touch()
     with pytest.raises(CampaignError, match=r"found b\.toml, c\.toml; name the file"):
         campaign_file(tmp_path)

@@ -220,7 +220,8 @@ def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run, r
     assert code == 0, err
     line = "surface hf: ignoring kinetic_friction, slip_regularization, which the campaign states for law lf"
     assert " ".join(err.split()).count(line) == 1
-    refused("no friction law 'ice'; known are lf, hf", "fit-gear", campaign, "--surface", "ice", "--force")
+    words = f"{campaign}: surface: no friction law 'ice'; known are lf, hf"
+    refused(words, "fit-gear", campaign, "--surface", "ice", "--force")
 
 
 def test_another_parameter_table_or_accuracy_is_not_continued(cut, monkeypatch, refused):
