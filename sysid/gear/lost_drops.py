@@ -54,12 +54,14 @@ def lost_drops(
     missing[~touches] = 1.0
     cause[(cause == 0) & ~touches] = _NEVER_TOUCHED
     way = np.inf if board_length is None else BEYOND_BOARD * board_length
+    feet = np.argmin(np.nan_to_num(result.first_contact, nan=np.inf), axis=2)
     for d, drop in enumerate(drops if way < np.inf else ()):
         first = int(cost.offsets[d]) + len(drop.before)
-        window = samples[:, first : first + len(drop.time), :2]
-        foot = np.nanargmin(np.nan_to_num(result.first_contact[:, d], nan=np.inf), axis=1)
-        start = result.contact_state[np.arange(len(foot)), d, foot, :2] @ drop.feet.tangent
-        beyond = window @ drop.feet.tangent - start[:, None] > way
+        # Two products beat the matrix product of a strided window.
+        along = samples[:, first : first + len(drop.time), 0] * drop.feet.tangent[0]
+        along += samples[:, first : first + len(drop.time), 1] * drop.feet.tangent[1]
+        start = result.contact_state[np.arange(len(feet)), d, feet[:, d], :2] @ drop.feet.tangent
+        beyond = along > (start + way)[:, None]
         share = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1) / len(drop.time), 1.0)
         left = (cause[:, d] == 0) & (share < 1.0)
         missing[left, d] = 1.0 - share[left]

@@ -43,6 +43,8 @@ from sysid.workflows.kinds import open_campaign
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 STAGES = (0.08, 0.25, None)
+# Of its differences [unit cube]; its default of 1.5e-8 measures the noise of the simulation.
+_EPS = 1e-4
 # Of the trials' channels, as the names that `mujoco.sysid` gives the states of the exported model's joints.
 QPOS, QVEL = sysid.SignalType.MjStateQPos, sysid.SignalType.MjStateQVel
 STATES = {
@@ -155,9 +157,9 @@ def main():
                 run = run_one(problem, SearchSettings(runs=1, seed=number))
                 cube, simulated = run.best_point, run.simulations
             else:
-                stages, options = (STAGES, {"eps": 1e-4}) if way == "staged" else (STAGES[-1:], {})
+                stages = STAGES if way == "staged" else STAGES[-1:]
                 with contextlib.redirect_stdout(io.StringIO()):  # it prints although asked not to
-                    cube = peer.fit(begin, stages, chosen.iterations, **options)
+                    cube = peer.fit(begin, stages, chosen.iterations, eps=_EPS)
                 simulated = peer.spent
             spent = time.process_time() - clock
             ours = float(problem.evaluate(cube[None]).cost[0])
