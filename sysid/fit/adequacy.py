@@ -13,19 +13,22 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from sysid.documents import Part
 from sysid.fit.least_squares import EXPLAINED, noise_floor
 from sysid.fit.optima import beside_noise
 from sysid.fit.problem import Block, Problem
 from sysid.journal import Finding
-from sysid.parameters import in_words
+from sysid.parameters import in_words, with_unit
 from sysid.types import FloatArray
 
 # Residual over noise floor up to which a model explains its trials roughly [1]; beyond, it does not.
 ROUGHLY = 1.5
 EXPLAINED_BY, ROUGHLY_BY, NOT_BY = "explained", "roughly", "not_explained"
 WORDS = {EXPLAINED_BY: "explained", ROUGHLY_BY: "roughly explained", NOT_BY: "not explained"}
+# A mean residual is systematic beyond these: standard errors of the mean of noise alone, and noise itself.
+_ERRORS, _OF_NOISE = 4.0, 0.5
 # Correlation of the noise as compared from which on two samples count as apart [1].
 _APART = 0.1
 
@@ -49,6 +52,34 @@ class PhaseAdequacy(Part):
     ratio: float
 
 
+class Bias(Part):
+    """A mean residual, simulated less measured, that lasts through a trial [channel units].
+
+    ``expected`` is the standard error of the mean of noise alone, ``over_noise`` the mean over the noise of a
+    sample [1]. ``assumed_explains`` is whether the uncertainty of assumed values takes the mean away.
+    """
+
+    trial: str
+    channel: str
+    unit: str
+    mean: float
+    expected: float
+    over_noise: float
+    assumed_explains: bool
+
+    @property
+    def sentence(self) -> str:
+        """The bias in words."""
+        text = (
+            f"{self.channel} is {with_unit(f'{self.mean:+.2g}', self.unit)} off on average over {self.trial} "
+            f"(simulated less measured): {abs(self.over_noise):.1f} × its noise, of which a mean keeps "
+            f"{with_unit(f'{self.expected:.1g}', self.unit)}"
+        )
+        if self.assumed_explains:
+            return f"{text}; the uncertainty of what the fit takes as known explains it"
+        return f"{text}; nothing that the fit knows explains it"
+
+
 class Misfit(Part):
     """Where the misfit sits: channel, phase and trial, each with its residual over noise there [1]."""
 
@@ -66,7 +97,8 @@ class Adequacy(Part):
     ``verdict`` is "explained" up to ``limits`` 1.2, "roughly" up to 1.5, else "not_explained", by the larger
     of ``ratio`` and the largest ratio of a channel. ``nrmse`` is of the best set and ``floor`` what noise
     alone costs [1]; ``ratio`` is the mean NRMSE over that floor, without what the uncertainty of assumed
-    values explains. ``symptoms`` are parameters whose bound cuts although the model is wrong.
+    values explains. ``symptoms`` are parameters whose bound cuts although the model is wrong. ``biases``
+    are systematic residuals, largest over noise first.
     """
 
     verdict: str
@@ -79,6 +111,7 @@ class Adequacy(Part):
     phases: list[PhaseAdequacy]
     misfit: Misfit
     symptoms: list[str]
+    biases: list[Bias] = Field(default_factory=list)
 
 
 def undisturbed(blocks: Sequence[Block], residuals: FloatArray, disturbances: FloatArray) -> FloatArray:
@@ -152,7 +185,7 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
             for c in used
         ],
         phases=[PhaseAdequacy(name=name, ratio=each) for name, each in zip(kinds, by_phase, strict=True)],
-        misfit=misfit, symptoms=symptoms,
+        misfit=misfit, symptoms=symptoms, biases=[] if lost[0] else _biases(problem, whole, rest),
     )  # fmt: skip
     names = [in_words(row, of_trial=False) for row in problem.space.free if row.name in symptoms]
     return out.model_copy(update={"sentence": _sentence(out, names)})
@@ -166,10 +199,37 @@ def verdict_of(ratio: float) -> str:
 def misfit_finding(judged: Adequacy) -> tuple[Finding, ...]:
     """Return what to notice of an adequacy: nothing where noise explains the trials."""
     if judged.verdict == EXPLAINED_BY:
-        return ()
+        return tuple(
+            Finding("systematic-residual", bias.sentence, trials=(bias.trial,), size=abs(bias.over_noise))
+            for bias in judged.biases
+            if not bias.assumed_explains
+        )
     code = "not-explained" if judged.verdict == NOT_BY else "roughly-explained"
     size = max(judged.ratio, judged.misfit.channel_ratio)
     return (Finding(code, judged.sentence, size=size, parameters=tuple(judged.symptoms)),)
+
+
+def _biases(problem: Problem, whole: FloatArray, rest: FloatArray) -> list[Bias]:
+    """Return the means of residuals (m,) beyond what noise explains; `rest` is `undisturbed`."""
+    model = problem.correlation()
+    worth = dict(zip(model.channels, model.inflation, strict=True))
+    out = []
+    for block in problem.blocks:
+        error = float(np.sqrt(worth[block.channel] / max(block.count, 1)))
+        mean, left = (
+            float(values[block.start : block.stop].sum()) / max(block.count, 1) / block.noise
+            for values in (whole, rest)
+        )
+        if abs(mean) > max(_ERRORS * error, _OF_NOISE):
+            sigma = block.noise * block.spread
+            out.append(
+                Bias(
+                    trial=problem.names[block.trial], channel=problem.channels[block.channel],
+                    unit=problem.units[block.channel], mean=mean * sigma, expected=error * sigma,
+                    over_noise=mean, assumed_explains=abs(left) <= max(_ERRORS * error, _OF_NOISE),
+                )
+            )  # fmt: skip
+    return sorted(out, key=lambda bias: -abs(bias.over_noise))
 
 
 def _levels(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:

@@ -290,6 +290,13 @@ class Problem(ABC):
         """Return from when on [s] a predicted trial is in which phase, in words that follow "most …"."""
         return [(-np.inf, "throughout")]
 
+    def evidence(self, row: FloatArray) -> Mapping[str, tuple[FloatArray, FloatArray]]:
+        """Return points behind what the fit takes as known, x and y (n,) [SI] by name, for its report.
+
+        At a row (n_table,) of the table [SI]; by default there are none.
+        """
+        return {}
+
     def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
         """Return what a validation adds to the scores of each trial, predicted by rows (S, n_table) [SI]."""
         return [{} for _ in self.trials]

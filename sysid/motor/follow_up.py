@@ -298,9 +298,9 @@ def _judge(
         cut = error.reason
         _notice_cut(cut, space, settings)
     curve = {name: best[name] for name in PARAMETERS}
-    spikes = spike_inertia(problem.campaign, [trial.log for trial in bench.fitted], curve)
-    settings["rotor_inertia_from_torque_spikes"] = spikes.document()
-    _notice(spikes.doubt)
+    inertia = spike_inertia(problem.campaign, [trial.log for trial in bench.fitted], curve)
+    settings["rotor_inertia_from_torque_spikes"] = inertia.document()
+    _notice(inertia.doubt)
     return cut
 
 

@@ -6,7 +6,7 @@ acceleration of the *measured* speed needs no R, L, Kv or command delay, so it c
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,6 +83,24 @@ def spike_inertia(
     """
     sums = {kind: np.zeros(4) for kind in ("up", "down")}  # Σ a², Σ a y, Σ y², n
     steps = {"up": 0, "down": 0}
+    for kind, a, y in spikes(campaign, logs, parameters):
+        sums[kind] += np.array([a @ a, a @ y, y @ y, a.size])
+        steps[kind] += 1
+    value, error = {}, {}
+    for kind, (aa, ay, yy, n) in sums.items():
+        value[kind] = float(ay / aa) if aa > 0 else float("nan")
+        left = max(yy - ay * ay / aa, 0.0) if aa > 0 else float("nan")
+        error[kind] = float(np.sqrt(left / max(n - 1.0, 1.0) / aa)) if aa > 0 else float("nan")
+    return SpikeInertia(value, error, steps)
+
+
+def spikes(
+    campaign: MotorCampaign, logs: Sequence[BenchLog], parameters: Mapping[str, float]
+) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    """Yield each step that is whole: "up" or "down", dΩ/dt (n,) [rad/s²], torque above the static one [N·m].
+
+    The arguments are as in `spike_inertia`.
+    """
     for log in logs:
         if "torque" not in log.channels:
             continue
@@ -99,16 +117,7 @@ def spike_inertia(
             shown = np.count_nonzero(inside) >= 5 and whole[inside].all()
             if levels[i] == 0 or abs(change) < _LEAST_STEP or not shown:
                 continue
-            kind = "up" if change > 0 else "down"
-            a, y = acceleration[inside], excess[inside]
-            sums[kind] += np.array([a @ a, a @ y, y @ y, a.size])
-            steps[kind] += 1
-    value, error = {}, {}
-    for kind, (aa, ay, yy, n) in sums.items():
-        value[kind] = float(ay / aa) if aa > 0 else float("nan")
-        left = max(yy - ay * ay / aa, 0.0) if aa > 0 else float("nan")
-        error[kind] = float(np.sqrt(left / max(n - 1.0, 1.0) / aa)) if aa > 0 else float("nan")
-    return SpikeInertia(value, error, steps)
+            yield "up" if change > 0 else "down", acceleration[inside], excess[inside]
 
 
 def _fast(campaign: MotorCampaign, log: BenchLog, parameters: Mapping[str, float]) -> _Seen:

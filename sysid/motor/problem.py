@@ -22,11 +22,13 @@ from sysid.motor import kernel
 from sysid.motor.batch import SimulatedTrials, simulate_population
 from sysid.motor.bench_logs import log_hashes
 from sysid.motor.cost import CHANNEL_UNITS, CHANNELS, BenchCost, MotorTarget
+from sysid.motor.curves import supply_ratio
+from sysid.motor.inertia import spikes
 from sysid.motor.known_values import CONSTANTS, Bench
 from sysid.motor.log_delays import delay_name, shifts
-from sysid.motor.model import PARAMETERS
+from sysid.motor.model import PARAMETERS, unpack
 from sysid.motor.parameters import SENSORS
-from sysid.motor.static_curves import NoLoadTie, no_load_line
+from sysid.motor.static_curves import NoLoadTie, no_load_line, turns
 from sysid.motor.targets import PreparedTrial, filter_design, measured_spectrum
 from sysid.parameters import SearchSpace
 from sysid.trials.look import inspect_recording, log_quality
@@ -223,6 +225,36 @@ class MotorProblem(Problem):
         """Return torque delay, torque lag and speed lag (P, 3) [s] of rows."""
         index = self.space.table.index
         return np.ascontiguousarray(rows[:, [index[name] for name in SENSORS]])
+
+    def evidence(self, row: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Return steady points as (Ω, thrust), (Ω, torque) and (u, Ω_0), and spikes as (dΩ/dt, torque).
+
+        Ω_0 of loaded points is lifted by what the drag of the row takes. The names are a quantity and a
+        direction, ``thrust_forward``; ``spikes_up`` has torque above the static one.
+        """
+        curves, out = self.bench.curves, {}
+        values = unpack(self.complete(row[None])[0], self.space.table)
+        drop = values["winding_resistance"] / (values["torque_constant"] * values["back_emf_constant"])
+        for direction, points in curves.loaded.items():
+            turning = turns(points.speed, direction)
+            for name in ("thrust", "torque"):
+                out[f"{name}_{direction}"] = points.speed[turning], getattr(points, name)[turning]
+            if direction in curves.ties:
+                tie = curves.ties[direction]
+                speed, torque = tie.points.T
+                lifted = speed + drop * (torque + values["viscous_damping"] * speed)
+                out[f"no_load_{direction}"] = tie.columns[:, 0], lifted
+        for log in curves.logs:
+            if log.table == "no_load":
+                ratio = supply_ratio(log.points, curves.reference_voltage)
+                out[f"no_load_{log.entry.direction}"] = log.points.u, log.points.speed / ratio
+        table = {name: values[name] for name in PARAMETERS}
+        found = list(spikes(self.campaign, [trial.log for trial in self.bench.fitted], table))
+        for kind in dict.fromkeys(each[0] for each in found):
+            parts = [each[1:] for each in found if each[0] == kind]
+            acceleration, excess = (np.concatenate(each) for each in zip(*parts, strict=True))
+            out[f"spikes_{kind}"] = acceleration, excess
+        return out
 
     # --- what is uncertain ----------------------------------------------------------------------------------
 

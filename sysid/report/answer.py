@@ -39,12 +39,15 @@ class Reopened:
         Residual over noise [1] of the trials that the fit held back, as `sysid validate` judges them.
     truth : mapping
         True values by parameter [SI], of a synthesized campaign.
+    evidence : mapping
+        Points behind what the fit takes as known, see `sysid.fit.problem.Problem.evidence`.
     """
 
     band: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
     noise: Mapping[str, FloatArray] = field(default_factory=dict)
     held_out: Mapping[str, float] = field(default_factory=dict)
     truth: Mapping[str, float] = field(default_factory=dict)
+    evidence: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
 
 def header(

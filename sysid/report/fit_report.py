@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -19,7 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sysid.errors import ExportError
-from sysid.fit.adequacy import NOT_BY
+from sysid.fit.adequacy import NOT_BY, Bias
 from sysid.fit.optima import unfixed
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import record_lines, run_record
@@ -68,7 +68,7 @@ from sysid.report.html import (
     side_by_side,
     unfoldable,
 )
-from sysid.report.plots import interactive
+from sysid.report.plots import Panel, interactive
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
 from sysid.report.traces import trial_view
 from sysid.report.trust_tables import narrow_table, validation_table, verdict_words
@@ -126,8 +126,8 @@ class FitReport:
         """Return intervals to mark below a trial's signals."""
         return {}
 
-    def more_panels(self, fit: FitResult, trial: TrialResult) -> list[Html]:
-        """Return figures that follow the compared channels of a trial."""
+    def more_panels(self, fit: FitResult, trial: TrialResult) -> list[Panel]:
+        """Return panels over the trial's time (n,) that follow its compared channels."""
         return []
 
     def conditions(self, fit: FitResult, trial: TrialResult) -> str:
@@ -360,7 +360,8 @@ class FitReport:
             marks, title = bars[fit is self.against, trial.name], self._title(fit, trial)
             other = self.beside.fit if self.beside is not None and fit is self.fit else None
             known = self.known if fit is self.fit else Reopened()
-            views.append(trial_view(fit, trial, (self.key(fit, trial), title), marks, known, other))
+            view = trial_view(fit, trial, (self.key(fit, trial), title), marks, known, other)
+            views.append(replace(view, panels=[*view.panels, *self.more_panels(fit, trial)]))
             words = f"{title}: measured and simulated channels over time, with residuals"
             figures += picture(figure_trial(fit, trial, marks), words, title)
         if not views:
@@ -369,13 +370,13 @@ class FitReport:
             views, "measured and simulated", legend(legend_of(self.fit, self.fit.trials, names)) + figures,
             noun=self.noun, chosen=self._first(),
         )  # fmt: skip
-        more = [
-            unfoldable(self._title(fit, trial), side_by_side(panels), printed=False)
-            for fit, trial in self._each()
-            if (panels := self.more_panels(fit, trial))
-        ]
         about = paragraph(self.about_signals, "note") if self.about_signals else NOTHING
-        return out + about + joined(more)
+        return out + about + bullets(self.biases(), "warnings")
+
+    def biases(self) -> list[str]:
+        """Return the systematic residuals of the fit in sentences."""
+        judged = self.fit.provenance.get("adequacy", {})
+        return [Bias.model_validate(each).sentence for each in judged.get("biases", ())]
 
     def _each(self) -> list[tuple[FitResult, TrialResult]]:
         return [(fit, trial) for fit in self.fits for trial in fit.trials]

@@ -11,14 +11,28 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sysid.fit.result import TrialResult
-from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, draw_legend, panel, panels, thinned, tidy
+from sysid.report.drawing import (
+    BEST,
+    MEASURED,
+    OTHERS,
+    RUNS,
+    axis_label,
+    draw_legend,
+    panel,
+    panels,
+    thinned,
+    tidy,
+)
+from sysid.report.plots import Panel
 from sysid.trials.reversal import LEVEL, Repetitions
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 
 # Drawn before the command, and beyond the slowest repetition's 90 % [s].
 _BEFORE, _BEYOND = 0.1, 0.2
 # Drawn after a command of a fit's trial, at least where its end comes earlier [s].
 _AFTER, _LEAST = 0.5, 0.3
+# What paper shows of the colours of a page.
+_COLOURS = {"ink": MEASURED, "best": BEST, "blue": RUNS[0]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +100,26 @@ def reversal_commands(trial: TrialResult) -> list[tuple[float, float, float]]:
     return out
 
 
+def around(trial: TrialResult, command: float) -> BoolArray:
+    """Return which samples (n,) of a trial lie around a reversal command at an instant [s]."""
+    return np.asarray((trial.time >= command - _BEFORE) & (trial.time <= command + _AFTER))
+
+
+def figure_panel(shown: Panel, x: tuple[str, str]) -> Figure:
+    """Draw a panel that a page lets touch, for paper; `x` is the label and unit of its curves' places."""
+    figure, axes = panel(3.0)
+    for curve in shown.curves:
+        look: dict[str, Any] = {"marker": ".", "linestyle": "none", "markersize": 3}
+        if curve.look != "dots":
+            look = {"linewidth": 1.2, "linestyle": "--" if curve.look == "dashed" else "-"}
+        colour = _COLOURS.get(curve.colour, OTHERS)
+        axes.plot(curve.x, curve.values, color=colour, label=curve.label, **look)
+    axes.set(xlabel=axis_label(*x), ylabel=axis_label(shown.label, shown.unit))
+    axes.legend(fontsize=7, frameon=False)
+    tidy(axes)
+    return figure
+
+
 def figure_thrust(
     trial: TrialResult,
     simulated: FloatArray,
@@ -102,7 +136,7 @@ def figure_thrust(
     figure, (top, bottom) = panel(3.4, nrows=2, sharex=True, height_ratios=(2.6, 1.0))
     inside = np.ones(len(trial.time), dtype=bool)
     if command is not None:
-        inside = (trial.time >= command - _BEFORE) & (trial.time <= command + _AFTER)
+        inside = around(trial, command)
     origin = float(trial.time[0]) if command is None else command
     time = trial.time[inside] - origin
     top.plot(*thinned(time, trial.thrust[inside]), color=MEASURED, linewidth=2.0)

@@ -1,4 +1,4 @@
-"""What the report of a motor adds: thrust, reversals, and what each step of the model buys."""
+"""What the report of a motor adds: thrust, static curves, reversals, spikes, steps of the model."""
 
 from __future__ import annotations
 
@@ -12,14 +12,26 @@ from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.drawing import USES
 from sysid.report.fit_report import FitReport, titled
-from sysid.report.html import Html, definitions, markup_table, paragraph, picture, side_by_side
-from sysid.report.motor_figures import figure_thrust, reversal_commands
+from sysid.report.html import (
+    NOTHING,
+    Html,
+    columns,
+    definitions,
+    markup_table,
+    paragraph,
+    picture,
+    side_by_side,
+)
+from sysid.report.motor_figures import figure_panel, figure_thrust, reversal_commands
+from sysid.report.motor_traces import command_panel, curve_views, reversal_view, spike_view
+from sysid.report.plots import Curve, Panel, View, interactive
 from sysid.report.set_tables import ladder_table
 from sysid.report.sketches import motor_sketch
 from sysid.types import FloatArray
 
-# Reversals that a page draws.
+# Reversals that paper shows.
 _MOST_REVERSALS = 6
+_NO_POINTS = "The points are not shown: the campaign of the fit is not where it was."
 
 
 class MotorReport(FitReport):
@@ -31,8 +43,9 @@ class MotorReport(FitReport):
         "whether both are right."
     )
     sections = (
-        "parameters", "measured_against_simulated", "reversals", "trial_errors", "ladder", "convergence",
-        "spread", "profiles", "correlation", "validation", "filter_response", "provenance",
+        "parameters", "measured_against_simulated", "static_curves", "reversals", ("spikes", "ladder"),
+        ("trial_errors", "validation"), ("convergence", "spread"), ("profiles", "correlation"),
+        ("filter_response", "provenance"),
     )  # fmt: skip
     model = "motor"
 
@@ -40,34 +53,85 @@ class MotorReport(FitReport):
         """Return the circuit and the propeller."""
         return motor_sketch()
 
-    def more_panels(self, fit: FitResult, trial: TrialResult) -> list[Html]:
-        """Return the thrust, which the fit does not compare."""
-        if trial.thrust is None or not np.isfinite(trial.thrust).any():
-            return []
-        figure = figure_thrust(trial, self.simulated_thrust(fit, trial))
-        words = f"{trial.name}: thrust in newton, measured and simulated, and the command over time"
-        return [picture(figure, words, "Thrust (Fig. 4); it is not compared in the fit.")]
+    def more_panels(self, fit: FitResult, trial: TrialResult) -> list[Panel]:
+        """Return the thrust, which the fit does not compare, and the command."""
+        out = []
+        if trial.thrust is not None and np.isfinite(trial.thrust).any():
+            best = self.simulated_thrust(fit, trial)[0]
+            curves = [Curve("measured", trial.thrust, "ink"), Curve("best set", best, "best", scaled=False)]
+            out.append(Panel("thrust, not compared", "N", curves))
+        if trial.commands is not None:
+            out.append(command_panel(trial, trial.time))
+        return out
+
+    @titled(
+        "Static curves",
+        "Steady points of the bench and the curves that the fit takes as known: thrust and torque over the "
+        "speed, the speed without load over the command, both directions.",
+    )
+    def static_curves(self) -> Html:
+        """Return the static curves with their points."""
+        stated = [
+            *self.fit.settings.get("static_curves", ()),
+            *self.fit.settings.get("static_curves_of_best_set", ()),
+        ]
+        if not stated:
+            return paragraph("No static curve was fitted: the campaign states them.", "note")
+        loaded, bare = curve_views(stated, self.known.evidence)
+        left, right = (
+            self._touched(views, "static curves", x) if views else NOTHING
+            for views, x in ((loaded, ("speed", "rad/s")), (bare, ("command u", "1")))
+        )
+        rows = [
+            (
+                f"{row['quantity'].replace('_', '-')}, {row['direction']}",
+                f"R² {row['r_squared']:.5f}, {row['points']} points"
+                + (f", {row['outliers']} outliers" if row["outliers"] else ""),
+            )
+            for row in stated
+        ]
+        out = columns(left, right) + definitions(rows, "how well the points lie on the curves")
+        return out if self.known.evidence else out + paragraph(_NO_POINTS, "note")
+
+    def _touched(self, views: list[View], title: str, x: tuple[str, str], static: Html = NOTHING) -> Html:
+        """Return views to be touched, and as figures for paper."""
+        drawn = [
+            picture(figure_panel(each, x), f"{view.title}: {each.label} over {x[0]}", view.title)
+            for view in views
+            for each in view.panels
+            if not each.low
+        ]
+        return interactive(views, title, static if static.text else side_by_side(drawn), x=x)
 
     @titled(
         "Reversals",
-        "Thrust around commands that turn the motor round, and the time until 90 % of the final thrust.",
+        "Thrust and speed around commands that turn the motor round; grey: the dead band, where the "
+        "current saturates. Below: the time until 90 % of the final thrust.",
     )
     def reversals(self) -> Html:
-        """Return thrust after reversal commands, in the manner of Fig. 3, and the delays."""
+        """Return thrust and speed after reversal commands, in the manner of Fig. 3, and the delays."""
         commands = [(trial, *each) for trial in self.fit.trials for each in reversal_commands(trial)]
-        # Evenly spread, so that fitted trials and held-out trials are among them.
+        if not commands:
+            return paragraph("No trial reverses the motor.", "note")
+        edge, views = self._best("saturation_speed"), []
+        for trial, time, before, after in commands:
+            what = f"{trial.name} ({USES[trial.use]}): from {_signed(before)} % to {_signed(after)} %"
+            thrust = self.simulated_thrust(self.fit, trial)[0]
+            views.append(reversal_view(self.fit, trial, thrust, time, what, edge))
+        # Paper has a few, evenly spread, so that fitted trials and held-out trials are among them.
         count = min(len(commands), _MOST_REVERSALS)
         shown = np.unique(np.linspace(0, len(commands) - 1, count).round().astype(int))
         pieces = []
-        for trial, time, before, after in (commands[k] for k in shown):
+        for k in shown:
+            trial, time, *_ = commands[k]
             figure = figure_thrust(trial, self.simulated_thrust(self.fit, trial), command=time)
-            what = f"{trial.name} ({USES[trial.use]}): from {_signed(before)} % to {_signed(after)} %"
-            words = f"thrust after a reversal command, measured and simulated; {what}"
-            pieces.append(picture(figure, words, what))
-        out = side_by_side(pieces)
+            words = f"thrust after a reversal command, measured and simulated; {views[k].title}"
+            pieces.append(picture(figure, words, views[k].title))
+        static = side_by_side(pieces)
         if len(shown) < len(commands):
             drawn = f"{len(shown)} of {len(commands)} reversals are drawn"
-            out += paragraph(f"{drawn}; sysid report --figure FOLDER draws all.", "note")
+            static += paragraph(f"{drawn}; sysid report --figure FOLDER draws all.", "note")
+        out = interactive(views, "reversals", static, x=("time after the command", "s"), noun="reversal")
         rows = [
             (
                 f"{row['trial']} ({row['use']}): "
@@ -76,9 +140,30 @@ class MotorReport(FitReport):
             )
             for row in self.fit.settings.get("reversal_delays", ())
         ]
-        if rows:
-            out += definitions(rows, "from the command to 90 % of the final thrust")
-        return out if out.text else paragraph("No trial reverses the motor.", "note")
+        return out + definitions(rows, "from the command to 90 % of the final thrust") if rows else out
+
+    @titled(
+        "Torque spikes",
+        "At a step the load cell feels the rotor's inertia: torque above the static one over the "
+        "acceleration of the measured speed. The slope is the inertia, whatever the winding does.",
+    )
+    def spikes(self) -> Html:
+        """Return the inertia that up-steps and down-steps show."""
+        stated = self.fit.settings.get("rotor_inertia_from_torque_spikes")
+        if not stated:
+            return paragraph("The torque spikes were not looked at in this fit.", "note")
+        inertia = self._best("rotor_inertia")
+        view = spike_view(stated, self.known.evidence, inertia)
+        x = ("acceleration", "rad/s²")
+        out = self._touched([view], "torque spikes", x) if view else paragraph(_NO_POINTS, "note")
+        rows = [
+            (
+                f"{row['steps']} {kind}-steps",
+                f"{row['inertia']:.4g} ± {row['standard_error']:.1g} kg·m²" if row["steps"] else "—",
+            )
+            for kind, row in stated.items()
+        ]
+        return out + definitions([*rows, ("best set", f"{inertia:.4g} kg·m²")], "rotor inertia")
 
     @titled(
         "Steps of the model",
@@ -100,6 +185,11 @@ class MotorReport(FitReport):
             for number, (time, _, _) in enumerate(reversal_commands(trial), start=1):
                 out[f"reversal-{name}-{number}"] = figure_thrust(trial, thrust, command=time, legend=True)
         return out
+
+    def _best(self, name: str) -> float:
+        """Return a value of the best set [SI]; NaN where a fit of another table lacks it."""
+        names = [record.name for record in self.fit.parameters]
+        return float(self.fit.values[0, names.index(name)]) if name in names else math.nan
 
     @staticmethod
     def simulated_thrust(fit: FitResult, trial: TrialResult) -> FloatArray:

@@ -61,6 +61,7 @@ def reopened(report: FitReport) -> Reopened:
             problem, rows = predicted.problem, predicted.rows
             noise = dict(zip(problem.names, problem.floor_by_channel(rows[0]), strict=True))
             floor = problem.floor_by_channel(rows[0])
+            evidence = problem.evidence(rows[0])
             held_out = {
                 trial.name: float(predicted.judge(t, slice(None), floor).ratio)
                 for t, trial in enumerate(problem.trials)
@@ -71,7 +72,7 @@ def reopened(report: FitReport) -> Reopened:
     truth: dict[str, float] = {}
     with suppress(SysidError):
         truth = dict(read_truth(opened.path)["parameters"])
-    return Reopened(band, noise, held_out, truth)
+    return Reopened(band, noise, held_out, truth, evidence)
 
 
 def _band(report: FitReport, names: Sequence[str], problem: Any) -> dict[str, tuple[FloatArray, FloatArray]]:
