@@ -21,7 +21,11 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = ROOT / "notebooks"
 # In reading order, each with the notebook whose fit it reads.
-ORDER = {"05-landing-maps": None, "the-model": None}
+ORDER = {
+    "01-first-fit": None, "02-your-own-drops": None, "03-your-own-motor": None, "04-python": None,
+    "05-landing-maps": None, "06-which-digits-to-believe": "01-first-fit", "the-model": None,
+    "fit-report-gear": "01-first-fit", "fit-report-motor": "03-your-own-motor",
+}  # fmt: skip
 # A notebook takes no longer [s]; the limit of a cell leaves room for a busy machine.
 _LIMIT = 60
 # Numbers agree within this share of their size, or within two of their last printed digit.
@@ -34,6 +38,10 @@ _MASKS = (
     (re.compile(r"\b(?:0x)?[0-9a-f]{10,}\b"), "HASH"),
     (re.compile(r"\b(?:took|in|after) [\d.]+ (?:s|min)\b"), "TIME"),
     (re.compile(r"(?:/[\w.+-]+){2,}"), "PATH"),
+    # Values of what the data do not determine, and where a search happened to look.
+    (re.compile(r"\S+ (?=\S+ -inf )"), "VALUE "),
+    (re.compile(r"sets from \S+ to \S+"), "sets from VALUE to VALUE"),
+    (re.compile(r"determined no better than this.*"), "LOOSE"),
 )
 
 
@@ -106,7 +114,7 @@ def texts(cell):
                 unescape(re.sub(r"<style.*?</style>|<[^>]*>", " ", data["text/html"], flags=re.DOTALL))
             )
         else:
-            out.append(data.get("text/plain", output.get("text", "")))
+            out.append(data.get("text/markdown", data.get("text/plain", output.get("text", ""))))
     return [" ".join(text.split()) for text in out]
 
 

@@ -170,3 +170,16 @@ def test_refusals_are_one_sentence(lag, gear, call, words):
         call(lag[1], gear)
     assert words in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_maps_are_tables_and_pictures():
+    gears = [PUBLISHED / f"published-gear-{law}.json" for law in ("lf", "hf")]
+    maps = sysid.landing_map(gears, PUBLISHED / "published-motor.json", slopes="0:40:20", speeds="0.3,1.5")
+    assert repr(maps) == "<LandingMaps: 4 maps of 3 × 2 cells>"
+    frame = maps.to_frame().set_index(["surface", "controller"])
+    # A level drone lands gently and stays; 40 degrees without thrust hold none. Classes share all cells.
+    assert frame.sum(axis=1).to_numpy() == pytest.approx(100.0, abs=0.3)
+    assert frame.loc[("lf", "reverse"), "short [%]"] > frame.loc[("lf", "off"), "short [%]"] > 0
+    assert len(maps.plot().axes) >= 4
+    with pytest.raises(sysid.SysidError, match="slopes 'steep'"):
+        sysid.landing_map(gears, PUBLISHED / "published-motor.json", slopes="steep")
