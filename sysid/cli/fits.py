@@ -147,7 +147,10 @@ def compare(
     cross: Annotated[
         bool, Flag("Predict the trials of every fit with every other fit.", "--cross/--no-cross")
     ] = True,
+    report: Annotated[bool, Flag("Write a page with the parameters and the traces of all fits.")] = False,
+    out: Annotated[Path, Flag("Write the page to this file.")] = Path("comparison.html"),
     threads: Threads = None,
+    force: Force = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -155,10 +158,12 @@ def compare(
 
     Prints Table II side by side, and which fit predicts which trials.
     """
-    from sysid.report.trust_tables import print_comparison
-    from sysid.workflows.compare import compare_fits
+    from sysid.workflows.compare import compare_and_print
 
-    print_comparison(*compare_fits(fits, cross=cross, threads=threads, say=unless(quiet or json)), json)
+    compare_and_print(
+        fits, cross=cross, page=out if report else None, threads=threads, force=force,
+        say=unless(quiet or json), json=json,
+    )  # fmt: skip
 
 
 @command(app, "ladder", "sysid ladder fits/demo/gear-lf")

@@ -53,8 +53,15 @@ class Reopened:
 def header(
     title: str, fit: FitResult, tiles: Sequence[tuple[str, str]], following: str, sketch: Html
 ) -> Html:
+    """Return the box above all of a fit, see `answer_box`."""
+    judged = _WORDS.get(fit.provenance.get("adequacy", {}).get("verdict"), ("not judged", "doubtful"))
+    return answer_box(title, Cell(*judged), fit.name, tiles, following, sketch)
+
+
+def answer_box(
+    title: str, word: Cell, name: str, tiles: Sequence[tuple[str, str]], following: str, sketch: Html
+) -> Html:
     """Return the box above all: verdict in one word, `tiles` (figure, words), next step, sketch."""
-    word, tone = _WORDS.get(fit.provenance.get("adequacy", {}).get("verdict"), ("not judged", "doubtful"))
     items = "".join(
         f"<li><b{'' if figure[:1].isdigit() else ' class=words'}>{html.escape(figure)}</b>"
         f"<span>{html.escape(what)}</span></li>"
@@ -63,7 +70,7 @@ def header(
     picture = f'<div class="sketch">{sketch.text}</div>' if sketch.text else ""
     return Html(
         f'<header class="answer"><h1>{html.escape(title)}</h1>{picture}'
-        f'<p><span class="word {tone}">{word}</span>{html.escape(fit.name)}</p>'
+        f'<p><span class="word {word.tone}">{html.escape(word.text)}</span>{html.escape(name)}</p>'
         f'<ul class="tiles">{items}</ul>'
         f'<p class="next"><b>Next:</b> {_with_commands(following)}</p></header>'
     )

@@ -9,14 +9,36 @@ from typing import Any
 
 import numpy as np
 
-from sysid.errors import FitError
+from sysid.errors import ExportError, FitError
 from sysid.journal import Journal, Say
 from sysid.parameter_sets import ParameterSets
+from sysid.report.comparison_page import ComparedFit, OverlaidTrial, comparison_page
+from sysid.report.fold import print_lines
+from sysid.report.trust_tables import print_comparison
+from sysid.storage import check_file, write_file
 from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.documents import TRUST, read_part
 from sysid.types import FloatArray
 from sysid.workflows.predict import open_under, predict
 from sysid.workflows.reopen import OpenedFit, open_fit
+
+
+def compare_and_print(
+    folders: Sequence[Path], *, cross: bool, page: Path | None, threads: int | None, force: bool, say: Say,
+    json: bool,
+) -> None:  # fmt: skip
+    """Compare fits and print the comparison; write its page to a file where one is named."""
+    if page is not None:
+        check_file(page, force=force, error_type=ExportError)
+        if not cross:
+            raise ExportError(f"{page}: the page shows how the fits predict each other; leave --no-cross out")
+    document, compared = _compare(folders, cross, threads, say)
+    if page is not None:
+        write_file(page, comparison_page(document, compared).encode("utf-8"), ExportError)
+        document["page"] = str(page)
+    print_comparison(document, [fit.sets for fit in compared], json)
+    if page is not None and not json:
+        print_lines([f"wrote {page}"])
 
 
 def compare_fits(
@@ -29,6 +51,13 @@ def compare_fits(
     keys are ``fits`` (names), ``kind``, ``differences`` (per parameter and pair), ``sentences`` and
     ``warnings``. Raises `FitError` for fewer than two fits, or fits of several kinds.
     """
+    document, compared = _compare(folders, cross, threads, say)
+    return document, tuple(fit.sets for fit in compared)
+
+
+def _compare(
+    folders: Sequence[Path], cross: bool, threads: int | None, say: Say
+) -> tuple[dict[str, Any], list[ComparedFit]]:
     if len(folders) < 2:
         raise FitError("one fit compares with nothing; name two or more")
     with Journal(say) as journal:
@@ -50,7 +79,7 @@ def compare_fits(
                 "one optimum agree whatever the data leave open); run sysid trust on each"
             )
         differences = compare_values(names, sets, documents)
-        table = _cross(opened, threads) if cross else None
+        table, overlaid = _cross(opened, names, threads) if cross else (None, [[] for _ in opened])
     lines = [row["sentence"] for row in differences if row["differs"]]
     lines += unjudged(differences)
     if table is not None:
@@ -67,13 +96,25 @@ def compare_fits(
         "sentences": lines,
         "warnings": journal.sentences(),
     }
-    return document, sets
+    compared = [
+        ComparedFit(each, trust, fit.result, trials)
+        for each, trust, fit, trials in zip(sets, documents, opened, overlaid, strict=True)
+    ]
+    return document, compared
 
 
-def _cross(opened: Sequence[OpenedFit], threads: int | None) -> FloatArray:
-    """Return the NRMSE (F, F) of the best set of each fit (row) on the fitted trials of each (column)."""
+def _cross(
+    opened: Sequence[OpenedFit], names: Sequence[str], threads: int | None
+) -> tuple[FloatArray, list[list[OverlaidTrial]]]:
+    """Let the best set of every fit predict the fitted trials of every fit.
+
+    Returns the NRMSE (F, F) of each fit (row) on each fit's trials (column), and those trials by fit.
+    """
     out = np.full((len(opened), len(opened)), np.nan)
+    overlaid = []
     for j, home in enumerate(opened):
+        fitted = home.whole.fitted.trials
+        trials = [OverlaidTrial(t.name, t.time, t.measured, t.valid, {}) for t in fitted]
         for i, guest in enumerate(opened):
             fit, whole = guest.result, home.whole
             # The trials are taken under the law of the fit that predicts them.
@@ -81,4 +122,8 @@ def _cross(opened: Sequence[OpenedFit], threads: int | None) -> FloatArray:
                 whole = open_under(fit, home.path, threads)[1]
             predicted = predict(fit, whole.only(whole.fitted.names))
             out[i, j] = float(predicted.problem.cost.mean(predicted.scored.by_channel)[0])
-    return out
+            signals = zip(predicted.problem.trials, predicted.scored.signals, strict=True)
+            for shown, (trial, each) in zip(trials, signals, strict=True):
+                shown.predicted[names[i]] = (trial.time, each[0])
+        overlaid.append(trials)
+    return out, overlaid

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from fakes.lag_kind import TRUE, LagProblem, write_lag
 from sysid import exact_json
 from sysid.errors import FitError, SysidWarning
+from sysid.fit.adequacy import adequacy
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import INTERVALS
 from sysid.report.trust_tables import print_check, print_trust, print_validation
@@ -68,6 +70,39 @@ def test_every_verb_serves_it(lag, capsys):
     with pytest.raises(FitError, match="two or more"):
         compare_fits([folder])
     assert "step-3" in capsys.readouterr().out
+
+
+def test_a_systematic_residual_is_named(lag):
+    opened = open_fit(lag[1], None, 1)
+    problem, row = opened.problem, opened.problem.adopt(opened.result)[0]
+    assert adequacy(problem, row).biases == []
+    problem.trials[1].measured[:] += 0.05
+    (bias,) = adequacy(problem, row).biases
+    assert (bias.trial, bias.assumed_explains) == (problem.trials[1].name, False)
+    # Simulated less measured; the noise of 0.02 leaves a mean of 200 samples an error of 0.0014.
+    assert bias.mean == pytest.approx(-0.05, abs=4 * 0.0014)
+    # The log shows no noise, so a share of its spread counts as noise.
+    assert -5 < bias.over_noise < -2
+    assert "nothing that the fit knows explains it" in bias.sentence
+
+
+def test_two_fits_on_a_page(lag, tmp_path, run, refused):
+    name = "<img src=x onerror=alert(1)>"
+    other = Path(shutil.copytree(lag[1], tmp_path / name))
+    page = tmp_path / "both.html"
+    both = ("compare", lag[1], other, "--report", "--out", page, "--quiet")
+    # The copy sees no campaign from its place.
+    refused("its campaign", *both)
+    assert not page.exists()
+    shutil.copytree(lag[1], lag[1].parent / name)
+    both = ("compare", lag[1], lag[1].parent / name, "--report", "--out", page, "--quiet")
+    assert run(*both)[0] == 0
+    text = page.read_text(encoding="utf-8")
+    assert "<img src=x" not in text
+    for words in ("Who predicts whom", "time constant", "step-0", "gain"):
+        assert words in text
+    refused(("exists already", "--force"), *both)
+    refused("leave --no-cross out", *both, "--no-cross", "--force")
 
 
 def test_a_law_that_the_kind_does_not_know_is_refused(lag, refused):

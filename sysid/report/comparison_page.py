@@ -1,0 +1,238 @@
+"""A page of two or more fits: parameters side by side, who predicts whom, traces overlaid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from sysid.documents import channel_symbol
+from sysid.fit.result import FitResult
+from sysid.parameter_sets import ParameterSets
+from sysid.report.answer import answer_box
+from sysid.report.drawing import RUNS, WIDTH, as_math, display_of, panel, percent_text, tidy
+from sysid.report.html import (
+    NOTHING,
+    Html,
+    bullets,
+    columns,
+    heading,
+    markup_table,
+    page,
+    paragraph,
+    picture,
+    side_by_side,
+    unfoldable,
+)
+from sysid.report.plots import SERIES, Curve, Panel, View, interactive
+from sysid.report.table import NONE, Cell, Table, interval, name_and_unit, numbers, rounded, table, words
+from sysid.report.trust_tables import TONES, comparison_table, cross_table, verdict_words
+from sysid.types import BoolArray, FloatArray
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class OverlaidTrial:
+    """A trial as compared, (n, C) over (n,) [s], and what each fit's best set predicts.
+
+    `predicted` are (m,) [s] and (m, C) by fit: a fit of another law may have other instants.
+    """
+
+    name: str
+    time: FloatArray
+    measured: FloatArray
+    valid: BoolArray
+    predicted: dict[str, tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedFit:
+    """A fit that is compared: its sets under the name of the comparison, its intervals, its trials."""
+
+    sets: ParameterSets
+    trust: Row | None
+    fit: FitResult
+    trials: Sequence[OverlaidTrial]
+
+
+def comparison_page(document: Row, fits: Sequence[ComparedFit]) -> str:
+    """Return the page of a comparison, `document` as from `sysid.workflows.compare`."""
+    names = document["fits"]
+    table = markup_table(_parameter_table(document, fits))
+    scattered = _intervals_figure(document, fits)
+    drawn = NOTHING
+    if scattered is not None:
+        alternative = f"95 % intervals of {', '.join(names)}, parameter by parameter, off the first value"
+        drawn = picture(scattered, alternative, "95 % intervals; 0: the value of the first fit.")
+    out = _answer(document, names)
+    if document["warnings"]:
+        count = len(document["warnings"])
+        out += unfoldable(f"{count} warning{'s' * (count > 1)}", bullets(document["warnings"], "warnings"))
+    out += heading("Parameters") + table
+    every = markup_table(comparison_table(document))
+    out += unfoldable("Every difference and what the intervals allow", every, printed=False)
+    crossed = heading("Who predicts whom") + markup_table(cross_table(document))
+    out += columns(crossed, heading("Intervals") + drawn if drawn.text else drawn)
+    out += heading("Traces") + _traces(fits)
+    return page(f"sysid: {' and '.join(names)}", out)
+
+
+def _answer(document: Row, names: Sequence[str]) -> Html:
+    rows = document["differences"]
+    differ = [row for row in rows if row["differs"]]
+    judged = [row for row in rows if row["differs"] is not None]
+    word = Cell("they differ", "bad") if differ else Cell("no difference shown", "good")
+    following = "one value may serve for all fits where their intervals agree: see the table."
+    if not judged:
+        word = Cell("not judged", "doubtful")
+        following = "run `sysid trust` on every fit: without intervals no difference is judged."
+    elif differ:
+        symbols = ", ".join(dict.fromkeys(row["symbol"] for row in differ))
+        following = f"ask why {symbols} changed: another drone, surface or supply, or a model that lacks it."
+    tiles = [
+        (f"{len(differ)} of {len(judged)}", "differences are more than the 95 % intervals explain"),
+        (str(len(rows) - len(judged)), "differences cannot be judged: an interval is open or missing"),
+    ]
+    cross = np.asarray(document["cross"])
+    for j, name in enumerate(names):
+        best = int(np.argmin(cross[:, j]))
+        tiles.append(
+            (percent_text(float(cross[best, j])), f"trials of {name}, best predicted by {names[best]}")
+        )
+    box = answer_box("Fits compared", word, " · ".join(names), tiles, following, NOTHING)
+    return box + unfoldable("In sentences", bullets(document["sentences"]))
+
+
+def _parameter_table(document: Row, fits: Sequence[ComparedFit]) -> Table:
+    """Return value, interval and verdict of every fit side by side, and what the intervals do not explain."""
+    known = [{row["name"]: row for row in (fit.trust or {}).get("parameters", ())} for fit in fits]
+    records = {
+        record.name: record
+        for fit in fits
+        for record in fit.sets.parameters
+        if record.status == "free" and not record.trial
+    }
+
+    free = [{r.name for r in fit.sets.parameters if r.status == "free"} for fit in fits]
+
+    def value(k: int, name: str) -> str:
+        row, sets = known[k].get(name), fits[k].sets
+        if row is None and name not in sets.names:
+            return NONE
+        return rounded(row["refined"] if row else float(sets.values[0, sets.names.index(name)]))
+
+    def span(k: int, name: str) -> Cell:
+        row = known[k].get(name)
+        if row is None:
+            return Cell("not free" if name not in free[k] else NONE)
+        return Cell(f"{interval(row, 95)}, {verdict_words(row['verdict'])}", TONES.get(row["verdict"], "bad"))
+
+    def differs(name: str) -> Cell:
+        rows = [row for row in document["differences"] if row["parameter"] == name]
+        real = [row for row in rows if row["differs"]]
+        if real:
+            pairs = (f"{' / '.join(row['fits'])} {100 * row['difference']:+.1f} %" for row in real)
+            return Cell(f"differs: {'; '.join(pairs)}", "bad")
+        return Cell("not judged" if any(row["differs"] is None for row in rows) else "no" if rows else NONE)
+
+    shown: list[Any] = [
+        words("symbol", lambda name: name_and_unit(records[name].symbol or name, records[name].unit)),
+        words("name", lambda name: name.replace("_", " ")),
+    ]
+    for k, fit in enumerate(fits):
+        shown.append(numbers(fit.sets.name, partial(value, k)))
+        shown.append(words("95 % interval, verdict", partial(span, k)))
+    shown.append(words("difference", differs))
+    note = "values: where the sum of squares is least; differs: by more than the 95 % intervals explain"
+    return table("", list(records), shown, note)
+
+
+def _intervals_figure(document: Row, fits: Sequence[ComparedFit]) -> Figure | None:
+    """Draw every interval off the first fit's value [%]; None where fewer than two fits have intervals."""
+    known = [{row["name"]: row for row in (fit.trust or {}).get("parameters", ())} for fit in fits]
+    names = [
+        name for name, row in known[0].items() if row["refined"] and any(name in other for other in known[1:])
+    ]
+    if not names:
+        return None
+    figure, axes = panel(0.9 + 0.17 * len(names) * (len(fits) + 0.6))
+    # Open intervals end at the picture's edge; a parameter off by factors may not squeeze the others.
+    reach = 1.0
+    for r, name in enumerate(names):
+        base = known[0][name]["refined"]
+        for k, rows in enumerate(known):
+            if name not in rows:
+                continue
+            row, colour = rows[name], RUNS[k % len(RUNS)]
+            ends = [100 * (end / base - 1) for end in row["interval_95"]]
+            middle, y = 100 * (row["refined"] / base - 1), -r + 0.25 - 0.5 * k / max(len(fits) - 1, 1)
+            closed = not any(row["open_95"])
+            axes.plot(ends, [y, y], color=colour, linewidth=2.0, linestyle="-" if closed else ":")
+            axes.plot([middle], [y], "o", color=colour, markersize=4)
+            if closed:
+                reach = max(reach, min(100.0, max(map(abs, (*ends, middle)))))
+    axes.axvline(0.0, color="0.6", linewidth=0.8)
+    axes.set_xlim(-1.1 * reach, 1.1 * reach)
+    axes.set_yticks(-np.arange(len(names)), [as_math(known[0][name]["symbol"]) for name in names])
+    axes.set_xlabel(f"off the value of {document['fits'][0]} [%] (dotted: open)")
+    for k, fit in enumerate(fits):
+        axes.plot([], [], "o-", color=RUNS[k % len(RUNS)], label=fit.sets.name, markersize=4)
+    figure.legend(fontsize=8, frameon=False, loc="outside upper center", ncols=min(len(fits), 3))
+    axes.grid(True, axis="x", color="0.92")
+    return figure
+
+
+def _traces(fits: Sequence[ComparedFit]) -> Html:
+    views, pieces = [], []
+    for fit in fits:
+        for k, trial in enumerate(fit.trials):
+            view = _view(fit, trial)
+            views.append(view)
+            if k == 0:  # paper has one trial of each fit
+                pieces.append(
+                    picture(_figure(view), f"{view.title}: measured, and predicted by every fit", view.title)
+                )
+    if not views:
+        return paragraph("No trials are in these fits.", "note")
+    return interactive(views, "traces of all fits", side_by_side(pieces), noun="trial")
+
+
+def _view(fit: ComparedFit, trial: OverlaidTrial) -> View:
+    """Return the channels of a trial with every fit's prediction, and what each leaves."""
+    time, panels = trial.time - trial.time[0], []
+    for c in (c for c in range(trial.measured.shape[1]) if trial.valid[:, c].any()):
+        _, unit, factor = display_of(fit.fit, c)
+        measured = factor * np.where(trial.valid[:, c], trial.measured[:, c], np.nan)
+        curves = [Curve("measured", measured, "ink", "dots" if len(time) <= 400 else "line")]
+        errors = []
+        for k, (name, (instants, signals)) in enumerate(trial.predicted.items()):
+            values = factor * signals[:, c]
+            if len(instants) != len(time):
+                values = np.interp(time, instants - instants[0], values, left=math.nan, right=math.nan)
+            colour = SERIES[k % len(SERIES)]
+            curves.append(Curve(f"best set of {name}", values, colour, scaled=False))
+            errors.append(Curve(f"residual of {name}", values - measured, colour, "thin"))
+        name = channel_symbol(fit.fit.channels[c])
+        panels += [Panel(name, unit, curves), Panel(f"residuals of {name}", unit, errors, low=True)]
+    return View(f"{fit.sets.name}: {trial.name}", f"{trial.name} of {fit.sets.name}", time, panels)
+
+
+def _figure(view: View) -> Figure:
+    """Draw the channels of a view for paper."""
+    shown = [each for each in view.panels if not each.low]
+    figure, every = panel(1.3 * len(shown) + 0.6, WIDTH, nrows=len(shown), sharex=True, squeeze=False)
+    for axes, each in zip(every.ravel(), shown, strict=True):
+        for k, curve in enumerate(each.curves):
+            colour, width = ("black", 1.8) if k == 0 else (RUNS[k - 1], 1.0)
+            axes.plot(view.x, curve.values, color=colour, linewidth=width, label=curve.label)
+        axes.set_ylabel(f"{each.label} [{each.unit}]", fontsize=8)
+    every.ravel()[0].legend(fontsize=7, frameon=False)
+    every.ravel()[-1].set_xlabel("time [s]")
+    tidy(*every.ravel())
+    return figure
