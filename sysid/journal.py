@@ -169,9 +169,11 @@ class Journal:
 _OPEN: ContextVar[Journal | None] = ContextVar("journal", default=None)
 
 
-def notice(code: str, sentence: str, *, trial: str = "", size: float = 0.0) -> None:
+def notice(
+    code: str, sentence: str, *, trial: str = "", size: float = 0.0, parameters: tuple[str, ...] = ()
+) -> None:
     """Add a `Finding` to the open journal; without one, issue a `SysidWarning`, which Python prints."""
-    finding = Finding(code, sentence, trials=(trial,) if trial else (), size=size)
+    finding = Finding(code, sentence, trials=(trial,) if trial else (), size=size, parameters=parameters)
     journal = _OPEN.get()
     if journal is not None:
         journal.add(finding)

@@ -58,7 +58,7 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
             ) from None
         raise CampaignFileError(f"{path}: not valid TOML: {error}; correct that line") from None
     stated = data.get("kind")
-    if stated not in _KINDS:
+    if not isinstance(stated, str) or stated not in _KINDS:
         raise CampaignFileError(
             f"{path}: kind is {stated!r}; expected {' or '.join(map(repr, sorted(_KINDS, reverse=True)))}"
         )

@@ -96,9 +96,9 @@ def reversal_time(
 
     Says the time to 90 % of the final thrust, and how often a reversal fails.
     """
-    from sysid.workflows.reversal import reversal_times
+    from sysid.workflows.reversal import print_reversal_times
 
-    reversal_times(logs, options, figure=figure, json=json)
+    print_reversal_times(logs, options, figure=figure, json=json)
 
 
 @command(

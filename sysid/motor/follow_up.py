@@ -306,7 +306,7 @@ def _judge(
 
 def _notice(doubt: Finding | None) -> None:
     if doubt is not None:
-        notice(doubt.code, doubt.sentence)
+        notice(doubt.code, doubt.sentence, parameters=doubt.parameters)
 
 
 def _notice_cut(cut: CutReason, space: SearchSpace, done: Mapping[str, Any], *missing: str) -> None:

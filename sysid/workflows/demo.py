@@ -45,13 +45,11 @@ def find_samples(given: Path | None) -> Path:
     )
 
 
-def run_demo(
-    data: Path | None, out: Path, quiet: bool = False, say: Say = None, json: bool = False
-) -> list[dict[str, Any]]:
+def run_demo(data: Path | None, out: Path, quiet: bool = False, say: Say = None, json: bool = False) -> None:
     """Fit the samples in `data`, write exports, figures and reports, and compare with the truth.
 
-    The fit folders go to `out`, where an earlier demo is replaced. Returns a row per written file: the kind
-    of the fit, what the file is, its path, and the NRMSE of the sets [1].
+    The fit folders go to `out`, where an earlier demo is replaced. As JSON it prints a row per written file:
+    the kind of the fit, what the file is, its path, and the NRMSE of the sets [1].
     """
     samples, started = find_samples(data), time.perf_counter()
     tell = say or (lambda sentence: None)
@@ -79,7 +77,6 @@ def run_demo(
             if row["what"] == "report":
                 print(f"  {Path(row['path']).resolve()}")
         print("next, with your own logs: sysid new-campaign gear --minimal --from LOG... (or motor)")
-    return written
 
 
 def _outputs(result: FitResult, folder: Path) -> dict[str, Path]:

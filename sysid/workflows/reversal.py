@@ -234,10 +234,10 @@ def _check_sense(
         raise LogError(states + "the rotor never reverses, or the thrust was logged without its sign")
 
 
-def reversal_times(
+def print_reversal_times(
     logs: Sequence[Path], options: ReversalOptions, *, figure: Path | None = None, json: bool = False
-) -> tuple[LogReversals, ...]:
-    """Time the reversals of several logs, print them side by side, and draw them in the manner of Fig. 3.
+) -> None:
+    """Time the reversals of several logs by `log_reversals`, print them side by side, draw them as in Fig. 3.
 
     Raises `SysidError` for the first log that cannot be used; nothing is written then.
     """
@@ -259,7 +259,6 @@ def reversal_times(
                 print(f"{log.name}: {log.lost} reversals left out, the logger stalled around their command")
         if figure is not None:
             print(f"{figure}  thrust after the command")
-    return tuple(timed)
 
 
 def _table(timed: Sequence[LogReversals], slow: float) -> Table:

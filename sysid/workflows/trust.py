@@ -16,7 +16,7 @@ from sysid.fit.result import FitResult
 from sysid.fit.store import fit_text
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
-from sysid.parameters import Parameter, SearchSpace, about
+from sysid.parameters import Parameter, SearchSpace, about, in_words
 from sysid.trust.assessment import FEWEST, Assessment, assess
 from sysid.trust.documents import TRUST, stating_intervals, write_part
 from sysid.trust.influence import Influence, influence
@@ -90,8 +90,9 @@ def _doubts(
     linear = assessed.linear
     moves = np.abs(linear.point - best) / np.maximum(linear.information.sigma, 1e-12)
     for parameter, row, jump in zip(free, rows, moves, strict=True):
-        name, rough = parameter.common_name, row["derivative_doubt"]
-        if not row["derivative_trusted"]:
+        name, rough = in_words(parameter, of_trial=False), row["derivative_doubt"]
+        # What is not identifiable has a verdict that says more.
+        if not row["derivative_trusted"] and not row["verdict"].startswith("not_"):
             sentence = (
                 f"{name}: its derivative changes by {100 * rough:.0f} % when the step is halved (the cost is "
                 "rough there, or hardly depends on it): read its profile, not its linearized sigma"

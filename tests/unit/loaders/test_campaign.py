@@ -97,6 +97,7 @@ def test_what_the_user_must_measure_is_refused_until_it_is_filled_in(kind, words
     ("gear", 'point = ["0 m", "0 m", "0 m"] ', "#", "nothing says where the surface lies"),
     ("gear", 'name = "my-drops"', "name = 'a b'", "name: expected letters, digits, dots, hyphens"),
     ("gear", 'kind = "gear"', 'kind = "glider"', "kind is 'glider'; expected 'motor' or "),
+    ("gear", 'kind = "gear"', 'kind = []', "kind is []; expected 'motor' or "),
     ("gear", "[fit]", "[fit", "not valid TOML"),
     ("gear", '# height = "1 mm"', 'height = "2 m"', "nuisance.height: 2000 mm is more than 20 mm"),
     ("gear", '# height = "1 mm"', 'height = "20.1 mm"', "nuisance.height: 20.1 mm is more than 20 mm"),
