@@ -193,7 +193,7 @@ def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
     identifiable. A parameter that rests on a guessed scale has no digits but the guess's.
     """
     if name in settings.get(NOT_ALONE, ()):
-        return "not fixed"
+        return "not identifiable"
     profile = settings.get("profiles", {}).get(name)
     if profile and not profile["identified"]:
         return f"< {profile['below']:.0e}"
@@ -204,7 +204,7 @@ def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
         return "not interpretable"
     (low, high), (below, above) = known["interval_95"], known["open_95"]
     if below and above:
-        return "not fixed"
+        return "not identifiable"
     return f"≤ {high:.2g}" if below else f"≥ {low:.2g}" if above else f"{low:.2g} to {high:.2g}"
 
 

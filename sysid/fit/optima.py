@@ -237,11 +237,11 @@ def loose_findings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[Find
     if len(weak):
         shares = ", ".join(f"{in_words(space.free[i])} {100 * spread[i]:.2g} %" for i in weak)
         sentence = (
-            f"determined no better than this, over sets that score within {100 * ENDS_WITHIN:g} % of the "
+            f"identifiable no better than this, over sets that score within {100 * ENDS_WITHIN:g} % of the "
             f"best NRMSE, or with which a run ended within {100 * SAME_NRMSE:g} % of it: {shares}"
         )
         names = tuple(dict.fromkeys(common_name(space.free[i]) for i in weak))
-        out.append(Finding("weakly-determined", sentence, parameters=names))
+        out.append(Finding("weakly-identifiable", sentence, parameters=names))
     return tuple(out)
 
 

@@ -152,6 +152,7 @@ def parameter_table(fit: FitResult, trust: Mapping[str, Any] | None, truth: Mapp
     """Return the one table of free parameters: value, 95 % interval, verdict, partners, measured, truth."""
     known = {row["name"]: row for row in (trust or {}).get("parameters", ())}
     free = [i for i, record in enumerate(fit.parameters) if record.status == "free"]
+    symbols = {record.name: record.symbol for record in fit.parameters if record.symbol}
     measured = {i: _measured(known.get(fit.parameters[i].name), fit.parameters[i]) for i in free}
 
     def row_of(i: int) -> Mapping[str, Any] | None:
@@ -173,7 +174,7 @@ def parameter_table(fit: FitResult, trust: Mapping[str, Any] | None, truth: Mapp
         inside = (below or low <= truth[name]) and (above or truth[name] <= high)
         return Cell(rounded(truth[name]) + ("" if inside else " outside"), "" if inside else "doubtful")
 
-    marked = "* the best set ends at a bound of the search" if fit.at_bound[0][free].any() else ""
+    marked = "* the best set ends at a bound of the search" if any("*" in value(i) for i in free) else ""
     return table(
         "",
         free,
@@ -184,7 +185,7 @@ def parameter_table(fit: FitResult, trust: Mapping[str, Any] | None, truth: Mapp
             numbers("95 % interval", lambda i: interval(row_of(i), 95) if row_of(i) else NONE),
             words("unit", lambda i: fit.parameters[i].unit or "1"),
             words("verdict", judged),
-            words("partners", lambda i: partners(row_of(i) or {})),
+            words("partners", lambda i: partners(row_of(i) or {}, symbols)),
             numbers("measured", lambda i: measured[i]) if set(measured.values()) > {NONE} else None,
             numbers("truth", true) if truth else None,
         ),

@@ -59,31 +59,6 @@ _LIMITS = ((0.988946, "68 %"), (3.841459, "95 %"))
 Bars = Mapping[str, Sequence[tuple[float, float]]]
 
 
-def figure_trial(fit: FitResult, trial: TrialResult, bars: Bars | None = None) -> Figure:
-    """Draw the channels of a trial in a row for paper, the residual of the best set below each."""
-    shown = [c for c in range(len(fit.channels)) if trial.valid[:, c].any()] or [0]
-    # Fixed margins: laying out ten axes automatically takes longer than drawing them.
-    figure = Figure(figsize=(max(5.0, 2.05 * len(shown)), 2.35))
-    cells = figure.add_gridspec(
-        2, len(shown), left=0.06, right=0.99, top=0.9, bottom=0.15, hspace=0.12, wspace=0.42,
-        height_ratios=(2.2, 1.0),
-    )  # fmt: skip
-    for k, c in enumerate(shown):
-        top = figure.add_subplot(cells[0, k])
-        bottom = figure.add_subplot(cells[1, k], sharex=top)
-        _draw_pair(top, bottom, fit, trial, c, bars or {})
-        name, unit, _ = display_of(fit, c)
-        # Beside each other there is room for labels above alone.
-        top.set_title(axis_label(name, unit), fontsize=7.5, loc="left")
-        top.set_title(percent_text(float(trial.nrmse[0, c])), fontsize=7.5, loc="right")
-        for axes in (top, bottom):
-            axes.set_ylabel("")
-            axes.tick_params(labelsize=6.5)
-        top.tick_params(labelbottom=False)
-        bottom.set_xlabel("time in the window [s]", fontsize=7)
-    return figure
-
-
 def figure_measured_against_simulated(
     fit: FitResult, trial: str | None = None, *, bars: Bars | None = None
 ) -> Figure:

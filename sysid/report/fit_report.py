@@ -45,10 +45,8 @@ from sysid.report.fit_figures import (
     figure_profile,
     figure_spectrum,
     figure_spread,
-    figure_trial,
     figure_waterfall,
     filter_gain,
-    legend_of,
     trial_means,
 )
 from sysid.report.html import (
@@ -59,7 +57,6 @@ from sysid.report.html import (
     definitions,
     heading,
     joined,
-    legend,
     markup_table,
     page,
     paragraph,
@@ -111,8 +108,8 @@ class FitReport:
     about_signals: ClassVar[str] = ""
     # Methods in the order of the page; two of them side by side in a wide window.
     sections: ClassVar[tuple[str | tuple[str, str], ...]] = (
-        "parameters", "measured_against_simulated", ("trial_errors", "validation"), ("convergence", "spread"),
-        ("profiles", "correlation"), ("filter_response", "provenance"),
+        "parameters", "measured_against_simulated", ("trial_errors", "convergence"),
+        ("spread", "correlation"), "profiles", "filter_response", ("validation", "provenance"),
     )  # fmt: skip
 
     # What a kind may add.
@@ -353,23 +350,16 @@ class FitReport:
     @titled("Measured and simulated")
     def measured_against_simulated(self) -> Html:
         """Return every trial's channels: to be touched, and as figures for paper."""
-        views, figures = [], NOTHING
-        bars = {(fit is self.against, trial.name): self.bars(fit, trial) for fit, trial in self._each()}
-        names = list(dict.fromkeys(name for each in bars.values() for name in each))
+        views = []
         for fit, trial in self._each():
-            marks, title = bars[fit is self.against, trial.name], self._title(fit, trial)
+            names, marks = (self.key(fit, trial), self._title(fit, trial)), self.bars(fit, trial)
             other = self.beside.fit if self.beside is not None and fit is self.fit else None
             known = self.known if fit is self.fit else Reopened()
-            view = trial_view(fit, trial, (self.key(fit, trial), title), marks, known, other)
+            view = trial_view(fit, trial, names, marks, known, other)
             views.append(replace(view, panels=[*view.panels, *self.more_panels(fit, trial)]))
-            words = f"{title}: measured and simulated channels over time, with residuals"
-            figures += picture(figure_trial(fit, trial, marks), words, title)
         if not views:
             return paragraph("No trials are in this fit.", "note")
-        out = interactive(
-            views, "measured and simulated", legend(legend_of(self.fit, self.fit.trials, names)) + figures,
-            noun=self.noun, chosen=self._first(),
-        )  # fmt: skip
+        out = interactive(views, "measured and simulated", noun=self.noun, chosen=self._first())
         about = paragraph(self.about_signals, "note") if self.about_signals else NOTHING
         return out + about + bullets(self.biases(), "warnings")
 

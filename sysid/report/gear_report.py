@@ -38,9 +38,9 @@ class GearReport(FitReport):
         "rear and the front foot of the best set's simulation are on the ground."
     )
     sections = (
-        "parameters", ("measured_against_simulated", "animation"), ("trial_errors", "validation"),
-        ("convergence", "spread"), ("profiles", "correlation"), ("diagram", "modes"),
-        ("filter_response", "provenance"),
+        "parameters", ("measured_against_simulated", "animation"), ("trial_errors", "convergence"),
+        ("spread", "correlation"), "profiles", ("validation", "diagram"), "filter_response",
+        ("modes", "provenance"),
     )  # fmt: skip
 
     @property
@@ -145,11 +145,7 @@ class GearReport(FitReport):
         )
         return picture(figure_snapshots(drop), f"simulated snapshots of {drop.name}: {instants}", caption)
 
-    @titled(
-        "Friction",
-        "On high friction each foot slips or sticks by itself; the simulation switches where one of the "
-        "conditions comes true.",
-    )
+    @titled("Friction")
     def modes(self) -> Html:
         """Return the modes of the high-friction hybrid with the transitions that happen (Fig. 5)."""
         if self._law is None or not self._law.switching:
@@ -159,8 +155,10 @@ class GearReport(FitReport):
             "the conditions of slipping and sticking"
         )
         caption = (
-            "Modes of the hybrid (Fig. 5) as the code switches them; percentages: of the time in which a "
-            "foot is down, over all drops. In flight both feet count as slipping; that time is left out."
+            "On high friction each foot slips or sticks by itself; the simulation switches where one of the "
+            "conditions comes true. Modes of the hybrid (Fig. 5) as the code switches them; percentages: of "
+            "the time in which a foot is down, over all drops. In flight both feet count as slipping; that "
+            "time is left out."
         )
         return picture(figure_modes(mode_shares(self.drops())), words, caption)
 

@@ -60,7 +60,7 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     digits = [i for i in shown if in_place_of_digits(sets.settings, sets.names[i]) is None]
     notes = [_FLAG] if np.any(sets.at_bound[:, digits]) else []
     if any(sets.names[column] in unfixed for column in shown):
-        notes.append(f"{_UNFIXED} not determined by the data: no digits")
+        notes.append(f"{_UNFIXED} not identifiable: no digits")
     count = "one set" if len(sets) == 1 else f"{len(sets)} sets, best first"
     heads = ("parameter", *(f"set {rank}" for rank in range(1, len(sets) + 1)))
     return listed(f"{sets.name}: {count}", rows, heads, "\n".join(notes), {above})
@@ -123,9 +123,9 @@ def _mean_row(record: ParameterRecord, fits: Sequence[ParameterSets]) -> MeanRow
 def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     """Return mean ± σ over the sets of fits of one kind, in the layout of the paper's Table II.
 
-    Each fit has a column; further columns are measured values, independent ranges and bounds. "Not fixed"
-    replaces the digits of `unfixed` parameters, which the data do not determine. A parameter of which any set
-    ends at a bound is flagged.
+    Each fit has a column; further columns are measured values, independent ranges and bounds. "Not
+    identifiable" replaces the digits of `unfixed` parameters. A parameter of which any set ends at a bound is
+    flagged.
     """
     flags = [{sets.names[i] for i in np.flatnonzero(np.any(sets.at_bound != 0, axis=0))} for sets in fits]
     # Words in place of digits carry no mark.
@@ -141,7 +141,7 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
         cell, name = row.fitted[k], row.record.name
         text = in_place_of_digits(fits[k].settings, name)
         if text is None and name in unfixed and cell is not None:
-            text = "not fixed"
+            text = "not identifiable"
         flagged = name in flags[k]
         return Cell(text or mean_sigma(cell) + (_AT_BOUND if flagged else ""), "doubtful" if flagged else "")
 

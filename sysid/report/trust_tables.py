@@ -70,9 +70,12 @@ _VERDICT = words(
 )
 
 
-def partners(row: Row) -> str:
-    """Return the two parameters that one trades with most, and the correlations."""
-    return ", ".join(f"{p['name']} {p['correlation']:+.2f}" for p in row.get("partners", ())[:2]) or NONE
+def partners(row: Row, symbols: Mapping[str, str] | None = None) -> str:
+    """Return the two parameters that one trades with most, by name or symbol, and the correlations."""
+    strongest = row.get("partners", ())[:2]
+    names = [(symbols or {}).get(partner["name"], partner["name"]) for partner in strongest]
+    pairs = zip(names, strongest, strict=True)
+    return ", ".join(f"{name} {partner['correlation']:+.2f}" for name, partner in pairs) or NONE
 
 
 _TRADES = words("trades with", partners)

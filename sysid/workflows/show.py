@@ -77,7 +77,7 @@ def verdict_on(result: FitResult) -> str:
     lost = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}
     intervals = result.settings.get(INTERVALS, {})
     lost |= {name for name, row in intervals.items() if row["verdict"].startswith("not_")}
-    known = f"not determined: {', '.join(sorted(lost))}" if lost else "every free parameter is determined"
+    known = f"not identifiable: {', '.join(sorted(lost))}" if lost else "every free parameter is identifiable"
     if judged is None:
         fits = f"not compared with the noise, NRMSE {100 * result.nrmse[0]:.2f} %"
     else:

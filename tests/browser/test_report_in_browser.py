@@ -4,9 +4,13 @@ Run with ``pytest -m browser``; it needs Chromium, its driver (Debian: ``chromiu
 selenium, and fails where they are missing.
 """
 
+import base64
+import csv
 import json
 import shutil
 import time
+from importlib.resources import files
+from xml.etree import ElementTree
 
 import pytest
 
@@ -47,10 +51,16 @@ PAGES = ("gear-lf", "motor", "gear-hf", "against")
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory):
-    """Every kind of page, of searches that end at once."""
-    folder = tmp_path_factory.mktemp("fits")
-    out = {name: write_report(path)["report"] for name, path in short_fits(folder).items()}
+def short(tmp_path_factory):
+    """Folders of fits whose searches ended at once."""
+    return short_fits(tmp_path_factory.mktemp("fits"))
+
+
+@pytest.fixture(scope="module")
+def pages(short):
+    """Every kind of page."""
+    folder = short["gear-lf"].parent
+    out = {name: write_report(path)["report"] for name, path in short.items()}
     options = ReportOptions(against=other_day(folder), out=folder / "against.html")
     out["against"] = write_report(folder / "gear-lf", options)["report"]
     return out
@@ -115,7 +125,8 @@ def test_every_page_stands_alone_and_fits_the_window(opened, pages):
 
 
 def stands_alone(driver, pages, name):
-    assert pages[name].stat().st_size < 5_000_000
+    # Eight drops with their traces, animation and figures for paper.
+    assert pages[name].stat().st_size < 3_000_000
     assert [entry for entry in driver.get_log("browser") if entry["level"] != "INFO"] == []
     assert requests(driver) == [pages[name].as_uri()]
     widths = driver.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
@@ -126,7 +137,7 @@ def stands_alone(driver, pages, name):
     assert broken == 0
     assert driver.execute_script("return document.images.length") > 1
     nameless = driver.execute_script(
-        "return [...document.querySelectorAll('canvas')].filter(c => !c.getAttribute('aria-label')).length"
+        "return [...document.querySelectorAll('canvas:not([aria-hidden], [aria-label])')].length"
     )
     assert nameless == 0
     lost = driver.execute_script(
@@ -185,6 +196,206 @@ def test_keys_reach_every_control(opened):
     assert missed == []
 
 
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_checker_finds_no_serious_violation(opened, scheme):
+    axe = (files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
+    for name in ("gear-lf", "motor", "gear-hf", "against"):
+        driver = opened(name)
+        scheme_is(driver, scheme)
+        # Loaded by the driver: the page's policy would refuse it.
+        driver.execute_script(f"document.querySelectorAll('details').forEach(d => d.open = true);{axe}")
+        found = driver.execute_async_script("const done = arguments[0]; axe.run().then(done)")["violations"]
+        serious = [each for each in found if each["impact"] in ("serious", "critical")]
+        assert [(each["id"], [node["html"][:80] for node in each["nodes"]]) for each in serious] == [], name
+    scheme_is(driver, "")
+
+
+def scheme_is(driver, scheme):
+    feature = {"name": "prefers-color-scheme", "value": scheme}
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+
+
+def plot_of(driver):
+    """Return the first plot of a page, unfolded and in view."""
+    root = driver.find_element("css selector", "[data-plot]")
+    driver.execute_script("arguments[0].scrollIntoView()", root)
+    for _ in range(50):
+        if root.get_attribute("data-ready"):
+            return root
+        time.sleep(0.1)
+    raise AssertionError("the plot was not drawn")
+
+
+def window_of(root):
+    low, high = map(float, root.get_attribute("data-range").split())
+    return low, high
+
+
+def test_traces_are_read_and_zoomed_by_mouse(opened):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    driver = opened("gear-lf")
+    root = plot_of(driver)
+    over = root.find_element("css selector", ".u-over")
+    full, wide = window_of(root), over.size["width"]
+    ActionChains(driver).move_to_element_with_offset(over, 0, 0).perform()
+    middle = (full[0] + full[1]) / 2
+    assert float(root.get_attribute("data-time")) == pytest.approx(middle, abs=0.02 * full[1])
+    values = root.find_element("css selector", ".values").text
+    assert "measured" in values
+    assert "best set" in values
+    # The animation shows the same moment.
+    animation = driver.find_element("css selector", "[data-animation]")
+    assert float(animation.get_attribute("data-time")) == pytest.approx(middle, abs=0.02 * full[1])
+    drag = ActionChains(driver).move_to_element_with_offset(over, -wide // 4, 0).click_and_hold()
+    drag.move_by_offset(wide // 4, 0).release().perform()
+    low, high = window_of(root)
+    assert low == pytest.approx(full[0] + 0.25 * (full[1] - full[0]), abs=0.02)
+    assert high == pytest.approx(middle, abs=0.02)
+    hold = ActionChains(driver).key_down("\ue008").move_to_element_with_offset(over, 0, 0).click_and_hold()
+    hold.move_by_offset(-wide // 4, 0).release().key_up("\ue008").perform()
+    assert window_of(root)[0] > low + 0.02
+    ActionChains(driver).double_click(over).perform()
+    assert window_of(root) == pytest.approx(full)
+
+
+def test_traces_are_read_and_zoomed_by_keys(opened):
+    driver = opened("gear-lf")
+    root = plot_of(driver)
+    stage = root.find_element("css selector", ".stage")
+    full = window_of(root)
+    stage.send_keys("\ue014")  # arrow right
+    first = float(root.get_attribute("data-time"))
+    stage.send_keys("\ue014")
+    assert float(root.get_attribute("data-time")) > first
+    # What is shown is told as well.
+    assert "measured" in root.find_element("css selector", "[role=status]").get_attribute("textContent")
+    stage.send_keys("++")
+    low, high = window_of(root)
+    assert high - low < 0.6 * (full[1] - full[0])
+    root.find_element("css selector", '[data-do="right"]').send_keys("\ue007")  # enter
+    assert window_of(root)[0] > low
+    stage.send_keys("0")
+    assert window_of(root) == full
+
+
+def test_traces_are_read_and_zoomed_by_fingers(opened):
+    driver = opened("gear-lf")
+    driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
+    root = plot_of(driver)
+    full = window_of(root)
+    box = driver.execute_script(
+        "const b = arguments[0].querySelector('.u-over').getBoundingClientRect();"
+        "return [b.left, b.top, b.width, b.height]",
+        root,
+    )
+
+    def touch(kind, *shares):
+        points = [{"x": box[0] + s * box[2], "y": box[1] + box[3] / 2, "id": k} for k, s in enumerate(shares)]
+        driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", 0.25)
+    assert float(root.get_attribute("data-time")) == pytest.approx(0.25 * full[1], abs=0.03)
+    touch("touchMove", 0.5)
+    assert float(root.get_attribute("data-time")) == pytest.approx(0.5 * full[1], abs=0.03)
+    touch("touchEnd")
+    touch("touchStart", 0.4)
+    touch("touchStart", 0.4, 0.6)
+    touch("touchMove", 0.3, 0.7)
+    touch("touchMove", 0.2, 0.8)
+    low, high = window_of(root)
+    # What lay under 0.4 and 0.6 lies under 0.2 and 0.8.
+    assert high - low == pytest.approx((full[1] - full[0]) / 3, rel=0.05)
+    touch("touchEnd")
+
+
+def test_a_drop_is_chosen_hidden_and_saved(opened, tmp_path):
+    driver = opened("gear-lf")
+    root = plot_of(driver)
+    driver.execute_cdp_cmd(
+        "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)}
+    )
+    driver.execute_script(
+        "const s = arguments[0].querySelector('[data-do=\"view\"]'); s.value = '1';"
+        "s.dispatchEvent(new Event('change'))",
+        root,
+    )
+    animation = driver.find_element("css selector", '[data-animation] [data-do="drop"]')
+    assert animation.get_attribute("value") == "1"
+    shown = "return arguments[0].plot.plots[0].series.map(s => s.show)"
+    before = driver.execute_script(shown, root)
+    driver.execute_script("arguments[0].querySelector('.toggles input').click()", root)
+    after = driver.execute_script(shown, root)
+    assert sum(after) < sum(before)
+    for what in ("csv", "svg"):
+        root.find_element("css selector", f'[data-do="{what}"]').send_keys("\ue007")
+    for _ in range(50):
+        made = {path.suffix: path for path in tmp_path.iterdir() if path.suffix in (".csv", ".svg")}
+        if len(made) == 2:
+            break
+        time.sleep(0.1)
+    rows = list(csv.reader(made[".csv"].read_text(encoding="utf-8-sig").splitlines()))
+    assert rows[0][0] == "time [s]"
+    assert any(head.startswith("z_B, measured") for head in rows[0])
+    assert len(rows) > 100
+    assert float(rows[-1][0]) > 0.5
+    assert ElementTree.parse(made[".svg"]).getroot().tag.endswith("svg")
+    # The policy let both through, and nothing else went out.
+    assert [entry for entry in driver.get_log("browser") if entry["level"] != "INFO"] == []
+
+
+def test_a_page_is_ready_within_a_second(opened):
+    driver = opened("gear-lf")
+    plot_of(driver)
+    # From the start of loading until the scripts have run, by the browser's own clock.
+    spent = driver.execute_script(
+        "return performance.getEntriesByType('navigation')[0].domContentLoadedEventEnd"
+    )
+    assert spent < 1000
+
+
+def test_the_drone_fills_its_picture_on_sharp_screens(start, pages):
+    driver = start()
+    metrics = {"width": 1280, "height": 900, "deviceScaleFactor": 2, "mobile": False}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    driver.get(pages["gear-lf"].as_uri())
+    root = driver.find_element("css selector", "[data-animation]")
+    assert 0.6 < float(root.get_attribute("data-filled")) < 1
+    canvas = root.find_element("css selector", "canvas")
+    sizes = driver.execute_script("return [arguments[0].width, arguments[0].clientWidth]", canvas)
+    assert sizes[0] == pytest.approx(2 * sizes[1], abs=2)
+    for key in ("\ue014", "\ue014", " "):
+        canvas.send_keys(key)
+    assert float(root.get_attribute("data-time")) > 0
+    assert root.get_attribute("data-playing") == "yes"
+
+
+def test_two_fits_move_beside_each_other(start, tmp_path, short):
+    out = tmp_path / "two.html"
+    options = ReportOptions(compare=short["gear-hf"], out=out)
+    write_report(short["gear-lf"], options)
+    driver = start()
+    driver.get(out.as_uri())
+    root = driver.find_element("css selector", "[data-animation]")
+    names = [c.get_attribute("aria-label") for c in root.find_elements("css selector", "canvas")]
+    assert [name.partition(".")[0] for name in names] == ["synthetic-lf", "synthetic-hf"]
+    toggles = plot_of(driver).find_element("css selector", ".toggles").text
+    assert "best set of synthetic-hf" in toggles
+
+
+def test_paper_takes_few_pages(start, pages):
+    driver = start()
+    for name in ("gear-lf", "gear-hf", "motor"):
+        driver.get(pages[name].as_uri())
+        printed = driver.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"]
+        assert base64.b64decode(printed).count(b"/Type /Page\n") <= 8, name
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+        shown = "return [...document.querySelectorAll(arguments[0])].filter(e => e.checkVisibility()).length"
+        assert driver.execute_script(shown, "[data-plot], [data-animation], .unprinted") == 0
+        assert driver.execute_script(shown, "figure.printed") >= 5
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
 def test_the_animation_plays_pauses_and_goes_to_an_instant(opened):
     from selenium.webdriver.common.keys import Keys
 
@@ -212,7 +423,7 @@ def test_the_animation_plays_pauses_and_goes_to_an_instant(opened):
     held = instant()
     time.sleep(0.3)
     assert instant() == held
-    buttons = root.find_elements("css selector", '[data-do="instants"] button')
+    buttons = root.find_elements("css selector", '[data-do="marks"] button')
     assert len(buttons) >= 2
     assert all(button.get_attribute("aria-label") for button in buttons)
     buttons[1].send_keys(Keys.ENTER)
@@ -272,8 +483,25 @@ def test_no_name_runs_as_a_script(tmp_path, start):
     scripts = driver.execute_script(
         "return [...document.scripts].map(s => s.textContent.trim().slice(0, 12))"
     )
-    assert len(scripts) == 3, scripts  # the drops as data, what draws them, what unfolds for printing
+    # Traces and drops as data; what unfolds for printing, uPlot, what draws traces, what draws drops.
+    assert len(scripts) == 6, scripts
     policy = driver.execute_script("return document.querySelector('meta[http-equiv]').content")
     assert policy.startswith("default-src 'none'")
-    # The picture of the drops is drawn, with names as text.
-    assert driver.execute_script("return document.querySelectorAll('canvas').length") > 0
+    # The policy lets run no script but those of the page, by their hashes.
+    assert "unsafe" not in policy.partition("script-src")[2].partition(";")[0]
+    assert policy.count("'sha256-") == 4
+    driver.execute_script(
+        "const s = document.createElement('script'); s.textContent = \"document.title = 'owned'\";"
+        "document.body.append(s)"
+    )
+    assert "owned" not in driver.title
+    # Traces and drops are drawn, with names as text; a file that is saved has a harmless name.
+    assert driver.execute_script("return document.querySelectorAll('canvas').length") > 5
+    assert set(VISIBLE[:8]) <= {
+        text.rpartition(" (")[0]
+        for text in driver.execute_script(
+            "return [...document.querySelectorAll('[data-do=\"view\"] option')].map(o => o.textContent)"
+        )
+    }
+    svg = driver.execute_script("return document.querySelector('[data-plot]').plot.svg()")
+    assert ElementTree.fromstring(svg).tag.endswith("svg")

@@ -12,7 +12,7 @@ def assert_sets_agree(result):
     doubts = {
         name
         for finding in result.provenance["findings"]
-        if finding["code"] in ("not-identifiable", "weakly-determined")
+        if finding["code"] in ("not-identifiable", "weakly-identifiable")
         for name in finding["parameters"]
     }
     best = result.nrmse <= (1 + SAME_NRMSE) * result.nrmse[0]

@@ -234,7 +234,7 @@ def test_without_a_scale_only_its_combinations_are_reported(tmp_path: Path, caps
             if line.strip()
         }
         for symbol in ("R", "L", "I_sat"):
-            assert "not fixed" in lines[symbol]
+            assert "not identifiable" in lines[symbol]
             # The fitted column stands before the measured one and the bounds.
             assert not re.search(r"\d\.\d", lines[symbol].split("]", 1)[1].split("—")[0])
         for symbol in ("k²/R", "R/L", "k·I_sat"):

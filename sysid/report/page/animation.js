@@ -131,7 +131,7 @@
       canvas.style.height = height + "px";
       const c = canvas.getContext("2d"), f = at(fit, time), arm = fit.arm + 750, tall = fit.foot[1];
       // The drone fills its canvas and the view follows it; without following, the whole movement is in view.
-      let x0 = f[0], z0 = f[1] - 0.3 * tall, k = Math.min(width / (2.35 * arm), height / (3.4 * tall));
+      let x0 = f[0], z0 = f[1] - 0.3 * tall, k = Math.min(width / (2.15 * arm), height / (2.6 * tall));
       if (!part("follow").checked) {
         const xs = fit.frames.map((g) => g[0]), zs = fit.frames.map((g) => g[1]);
         const box = [Math.min(...xs) - arm, Math.max(...xs) + arm, Math.min(...zs) - 1.3 * tall, Math.max(...zs) + 0.8 * tall];

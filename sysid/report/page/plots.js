@@ -140,7 +140,7 @@
       const last = k === this.view.panels.length - 1;
       const axis = { stroke: css("text"), grid: { stroke: css("grid"), width: 1 }, ticks: { stroke: css("grid"), width: 1 }, font: "12px system-ui, sans-serif" };
       const options = {
-        width: this.width, height: (panel.low ? 66 : 132) + (last ? 34 : 0), padding: [5, 8, 0, 0], series, bands, legend: { show: false },
+        width: this.width, height: (panel.low ? 66 : 132) + (last ? 38 : 0), padding: [5, 8, 0, 0], series, bands, legend: { show: false },
         scales: { x: { time: false, range: () => this.range }, y: { range: (u, low, high) => this.span(low, high, panel) } },
         axes: [
           { ...axis, show: true, size: last ? 44 : 8, values: last ? undefined : () => [], label: last ? this.data.x[0] + " [" + this.data.x[1] + "]" : undefined, labelSize: last ? 16 : 0, labelFont: "12px system-ui, sans-serif" },
@@ -156,6 +156,8 @@
         },
       };
       const plot = new uPlot(options, data, box);
+      // The stage around all panels has the words.
+      plot.ctx.canvas.setAttribute("aria-hidden", "true");
       plot.shown = { seen, values, panel };
       this.feel(plot);
       return plot;

@@ -103,8 +103,10 @@ def test_what_sets_of_one_nrmse_spread_over_is_named():
     near, off = run(0.08, (0.2, 0.5)), run(0.08 * (1 + 1e-5), (0.2005, 0.51))
     (finding,) = loose_findings([near, off], space_of_two())
     # Along the cube's edge b grows a hundredfold: 0.01 of it are 4.7 %; 0.0005 of it are 0.2 % of a.
-    assert (finding.code, finding.parameters) == ("weakly-determined", ("b",))
-    assert finding.sentence.startswith("determined no better than this, over sets that score within 0.003 %")
+    assert (finding.code, finding.parameters) == ("weakly-identifiable", ("b",))
+    assert finding.sentence.startswith(
+        "identifiable no better than this, over sets that score within 0.003 %"
+    )
     assert finding.sentence.endswith(" of it: b 4.6 %")
     # A run that ends in a neighbouring dent counts, as runs agree within 0.2 %. One that ends worse says
     # nothing, and one run alone does not know.

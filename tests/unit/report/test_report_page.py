@@ -1,5 +1,6 @@
 """Pieces of a report: what is drawn is what was computed, nothing of a log's names becomes markup."""
 
+import base64
 import json
 import re
 from dataclasses import replace
@@ -20,13 +21,15 @@ from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
 from sysid.parameter_sets import ParameterRecord
 from sysid.report import diagrams, fit_report, gear_report, model_notes
 from sysid.report.animation import Scene, animation
-from sysid.report.drawing import as_math, thinned
+from sysid.report.answer import Reopened
+from sysid.report.drawing import as_math, display_of, thinned
 from sysid.report.drop_replay import START, DropReplay, leg_points, replay_drop
-from sysid.report.fit_figures import figure_spread, figure_trial, figure_waterfall
+from sysid.report.fit_figures import figure_spread, figure_waterfall
 from sysid.report.fit_report import FitReport
 from sysid.report.gear_report import GearReport
 from sysid.report.html import bullets, heading, markup_table, page, paragraph, picture, unfoldable
 from sysid.report.motor_report import MotorReport
+from sysid.report.plots import Curve, Panel, View, interactive
 from sysid.report.snapshots import figure_snapshots
 from sysid.report.table import Cell, table, words
 from sysid.report.trust_tables import interval_table, narrow_table
@@ -107,14 +110,70 @@ def test_symbols_are_set_as_formulas():
     assert as_math("R") == "R"
 
 
+def plot_data(text):
+    """Return what a plot's script reads."""
+    return json.loads(re.search(r'<script type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
+
+
+def unpacked(text):
+    return np.frombuffer(base64.b64decode(text), "<f4")
+
+
 @pytest.mark.parametrize("channels", [GEAR, MOTOR])
-def test_every_axis_of_a_channel_says_its_unit(channels):
+def test_traces_are_the_samples_of_the_fit_with_their_units(channels, tmp_path):
     fit = made_fit(channels)
-    axes = figure_trial(fit, fit.trials[0]).axes
-    labels = [signal.get_title(loc="left") for signal in axes[::2]]
-    labels += [axes.get_xlabel() for axes in axes[1::2]]
-    assert len(labels) == 2 * len(fit.channels)
-    assert all(re.search(r"\[[^\]]+\]$", label) for label in labels), labels
+    text = FitReport(tmp_path, fit).measured_against_simulated().text
+    view = plot_data(text)["views"][0]
+    signals = view["panels"][::2]
+    assert len(signals) == len(fit.channels)
+    assert all(panel["unit"] for panel in view["panels"])
+    trial, factor = fit.trials[0], display_of(fit, 0)[2]
+    np.testing.assert_allclose(unpacked(view["x"]), trial.time - trial.time[0], rtol=1e-6)
+    curves = {curve["label"]: unpacked(curve["y"]) for curve in signals[0]["curves"]}
+    np.testing.assert_allclose(curves["best set"], factor * trial.simulated[0, :, 0], rtol=1e-6)
+    measured = np.where(trial.valid[:, 0], factor * trial.measured[:, 0], np.nan)
+    np.testing.assert_allclose(curves["measured"], measured, rtol=1e-6)
+    # Paper has every trial and every channel with its unit.
+    figures = re.findall(r'<figure class="printed">.*?</figure>', text)
+    assert len(figures) == len(fit.trials)
+    names = re.findall(r'class="name">([^<]*)<', figures[0])
+    assert len(names) == 2 * len(fit.channels)
+    assert all(re.search(r"\[[^\]]+\]$", name) for name in names), names
+
+
+def test_residuals_are_over_the_noise_and_a_band_lies_around(tmp_path):
+    fit = made_fit()
+    trial, count = fit.trials[0], len(fit.channels)
+    low, high = trial.simulated[0] - 0.5, trial.simulated[0] + 0.5
+    known = Reopened(band={trial.name: (low, high)}, noise={trial.name: np.full(count, 0.02)})
+    view = plot_data(FitReport(tmp_path, fit, known=known).measured_against_simulated().text)["views"][0]
+    band = view["panels"][0]["curves"][0]
+    assert band["label"] == "95 % prediction"
+    np.testing.assert_allclose(unpacked(band["upto"]) - unpacked(band["y"]), 1.0, rtol=1e-5)
+    (residual,) = view["panels"][1]["curves"]
+    expected = (trial.simulated[0, :, 0] - trial.measured[:, 0]) / 0.02
+    np.testing.assert_allclose(
+        unpacked(residual["y"]), np.where(trial.valid[:, 0], expected, np.nan), rtol=1e-5
+    )
+    assert view["panels"][1]["shade"] == [-2, 2]
+
+
+def test_a_plot_of_many_samples_keeps_its_peaks_and_joins_curves_of_other_places():
+    x = np.linspace(0, 10, 40_000)
+    y = np.sin(x)
+    y[12_345], y[23_456] = 9.0, -9.0
+    points = Curve("points", np.array([1.0, 2.0]), "blue", "dots", x=np.array([0.5, 20.0]))
+    view = View("a", NASTY, x, [Panel("y", "m", [Curve("line", y), points])], {NASTY: [(1, 2)]})
+    text = interactive([view], NASTY).text
+    assert "<img src=x" not in text
+    data = plot_data(text)["views"][0]
+    place, line, dots = (unpacked(t) for t in (data["x"], *(c["y"] for c in data["panels"][0]["curves"])))
+    assert len(place) < 5000
+    assert (np.nanmax(line), np.nanmin(line)) == (9.0, -9.0)
+    assert np.all(np.diff(place) > 0)
+    np.testing.assert_allclose(place[np.isfinite(dots)], [0.5, 20.0])
+    with pytest.raises(ValueError, match="at least one view"):
+        interactive([], "a")
 
 
 def test_the_spread_shows_every_set_between_its_bounds():
@@ -256,11 +315,15 @@ def test_drops_of_one_name_keep_to_their_own_campaign(drop_fit, tmp_path, monkey
 
     seen = []
 
-    def watched(fit, trial, bars):
+    def drawn(fit, trial, names, bars, *_):
+        seen.append((fit is other, bars["rear foot down"][0][0]))
+        return View(names[0], names[1], trial.time, [])
+
+    def watched(fit, trial, *_, bars):
         seen.append((fit is other, bars["rear foot down"][0][0]))
         return small_figure()
 
-    monkeypatch.setattr(fit_report, "figure_trial", watched)
+    monkeypatch.setattr(fit_report, "trial_view", drawn)
     monkeypatch.setattr(fit_report, "figure_measured_against_simulated", watched)
     expected = {(False, first.contacts[0].start), (True, second.contacts[0].start)}
     report.measured_against_simulated()
@@ -438,17 +501,17 @@ def test_an_unfinished_search_is_not_told_as_a_finding(tmp_path, cut):
 def test_what_the_data_do_not_determine_has_no_digits(tmp_path, monkeypatch):
     fit = made_fit()
     plain = FitReport(tmp_path, fit).parameters().text
-    assert "not fixed" not in plain
+    assert "not identifiable" not in plain
     monkeypatch.setattr(FitReport, "open_parameters", ("leg_axial_stiffness",))
     text = FitReport(tmp_path, fit).parameters().text
-    assert '<td class="number">not fixed</td>' in text
+    assert '<td class="number">not identifiable</td>' in text
     cells = re.search(r"k_h \[N/m\] †</th>(.*?)</tr>", text).group(1)
     values = re.findall(r">([^<]+)<", cells)
     assert len(values) == 5
     assert all(float(value.rstrip("*")) % 1000 == 0 for value in values)
     monkeypatch.undo()
     # An unfinished search knows of nothing that it is open.
-    assert "not fixed" not in FitReport(tmp_path, cut_fit()).parameters().text
+    assert "not identifiable" not in FitReport(tmp_path, cut_fit()).parameters().text
 
 
 def test_every_warning_that_is_listed_is_counted(tmp_path):
