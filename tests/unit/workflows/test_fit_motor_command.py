@@ -10,8 +10,10 @@ import pytest
 
 from fakes.places import SAMPLES
 from sysid.fit.store import read_fit
+from sysid.journal import Finding, Journal
 from sysid.motor import follow_up as motor_stages
 from sysid.recording import file_sha256
+from sysid.workflows.fit import _add_doubts
 
 SMALL = (
     "--no-trust",
@@ -31,6 +33,15 @@ LEFT_OUT = (
     "{}: the dead band was not fitted; the ladder of simpler models was not climbed; viscous_damping was not "
     "profiled, so its digits may mean nothing; continue it with --resume"
 )
+
+
+def test_a_parameter_that_is_not_identifiable_is_named_once():
+    with Journal() as journal:
+        motor_stages._notice(Finding("not-identifiable", "k_d is not", parameters=("viscous_damping",)))
+        _add_doubts(journal, [Finding("at-lower-bound", "k_d ends", parameters=("viscous_damping",))])
+    assert [(one.code, one.parameters) for one in journal.findings] == [
+        ("not-identifiable", ("viscous_damping",))
+    ]
 
 
 @pytest.fixture
