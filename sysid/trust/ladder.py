@@ -3,9 +3,11 @@
 Every rung frees the parameters of a term, walks downhill from the fit's optimum, and is fitted again without
 each trial in turn, or each part of one (`Problem.pieces`). A term is kept where it predicts the trials left
 out better than the rung below by more than chance. Simpler models of a kind are judged alike, the fit's model
-as what it adds to each. A trial's gain is the logarithm of the factor by which its NRMSE falls. If a term
-buys nothing, every gain may as well have the other sign: the chance is the share of all sign changes under
-which the best of the terms looked at gains as much on average (max-statistic, Westfall & Young 1993).
+as what it adds to each. A trial's gain is the logarithm of the factor by which its residual over noise falls,
+root mean square over its channels: in NRMSE velocities, which are mostly noise, hide what a term does to the
+positions. If a term buys nothing, every gain may as well have the other sign: the chance is the share of all
+sign changes under which the best of the terms looked at gains as much on average (max-statistic, Westfall &
+Young 1993).
 """
 
 from __future__ import annotations
@@ -57,6 +59,8 @@ class TermFit:
         The same over what noise alone costs [1].
     left_out : (T,) array
         NRMSE over noise of each piece, predicted by the fit of the others [1]; NaN where not computed.
+    misfit : (T,) array
+        The same, root mean square over the channels [1].
     gain, chance : float
         Mean gain over the rung below, and the probability that it is chance [1]; NaN of the base. Of a
         simpler model: what the base gains over it.
@@ -68,6 +72,7 @@ class TermFit:
     nrmse: float
     ratio: float
     left_out: FloatArray
+    misfit: FloatArray
     gain: float = np.nan
     chance: float = np.nan
 
@@ -182,7 +187,7 @@ class Climber:
         weights = np.array([block.weight for block in problem.blocks])
         nrmse, floor = float(weights @ levels), float(weights @ self._floors)
         none = np.full(len(problem.pieces[0]), np.nan)
-        return TermFit(terms, problem, point, nrmse, nrmse / floor, none)
+        return TermFit(terms, problem, point, nrmse, nrmse / floor, none, none)
 
     def _left_out(self, rung: TermFit) -> TermFit:
         """Fit a rung without each piece, and predict that piece."""
@@ -204,7 +209,9 @@ class Climber:
         counts = np.add.reduceat(left * valid, starts, axis=1)
         levels = np.sqrt(np.add.reduceat(squares, starts, axis=1) / np.maximum(counts, 1))
         weights = np.array([block.weight for block in blocks]) * (counts > 0)
-        return replace(rung, left_out=np.sum(weights * levels, axis=1) / (weights @ self._floors))
+        left_out = np.sum(weights * levels, axis=1) / (weights @ self._floors)
+        squares = np.sum(weights * (levels / self._floors) ** 2, axis=1) / np.sum(weights, axis=1)
+        return replace(rung, left_out=left_out, misfit=np.sqrt(squares))
 
 
 def starts_near(space: SearchSpace, values: Mapping[str, float]) -> FloatArray:
@@ -217,7 +224,7 @@ def starts_near(space: SearchSpace, values: Mapping[str, float]) -> FloatArray:
 
 def _judged(rungs: Sequence[TermFit], below: TermFit) -> list[TermFit]:
     """Return rungs with their gains over the one below, and the chance of each, for all of them together."""
-    gains = np.log(below.left_out / np.array([rung.left_out for rung in rungs]))
+    gains = np.log(below.misfit / np.array([rung.misfit for rung in rungs]))
     count = gains.shape[1]
     if 2**count <= _CHANGES:
         signs = 1 - 2 * (np.arange(2**count)[:, None] >> np.arange(count) & 1)
