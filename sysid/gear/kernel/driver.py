@@ -180,9 +180,12 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
         segment = np.zeros(lanes, np.int64)
         origin = np.zeros(lanes)
         per_tolerance = 1.0 / (7.0 * tolerance * tolerance)
+        # Arguments that are constants would have numba compile what takes them once for every value.
+        to_turn, to_rest = np.int64(TURN), np.int64(MOTION)
+        flip, rest, whole = np.int64(FLIP), np.int64(REST), np.int64(BODY)
         waiting = 0
         active = 0
-        marked = 0
+        marked = np.int64(0)
         for lane in range(lanes):
             number = jobs[min(waiting, len(jobs) - 1)]
             load(number, parameters, slope, body, legs, segments, plans, segment, origin, work, lane, lanes)
@@ -326,17 +329,17 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
                         if abs(work[(at.END + at.PHI) * lanes + lane]) > flip_angle and h > 0.0:
                             if work[at.FLIPPED * lanes + lane] == 0.0:
                                 work[at.FLIPPED * lanes + lane] = 1.0
-                                turned_at = t + h * locate(work, lane, lanes, TURN, ending)
+                                turned_at = t + h * locate(work, lane, lanes, to_turn, ending)
                                 moments[candidate, drop, FLIP_AT] = turned_at
-                                marked = _mark(marks, marked, turned_at, FLIP, BODY)
+                                marked = _mark(marks, marked, turned_at, flip, whole)
                             code = FLIPPED_OVER if ends else code
                         if logs > 0.0 and h > 0.0 and work[at.MOVED * lanes + lane] == t:
-                            work[at.MOVED * lanes + lane] = t + h * locate(work, lane, lanes, MOTION, ending)
+                            work[at.MOVED * lanes + lane] = t + h * locate(work, lane, lanes, to_rest, ending)
                         if t + h - work[at.MOVED * lanes + lane] >= rest_time:
                             if work[at.RESTED * lanes + lane] == 0.0:
                                 work[at.RESTED * lanes + lane] = 1.0
                                 moments[candidate, drop, REST_AT] = work[at.MOVED * lanes + lane]
-                                marked = _mark(marks, marked, work[at.MOVED * lanes + lane], REST, BODY)
+                                marked = _mark(marks, marked, work[at.MOVED * lanes + lane], rest, whole)
                             code = CAME_TO_REST if ends and code == OK else code
                         while cursor[lane] < end and clock[cursor[lane]] <= t + h:
                             share = (clock[cursor[lane]] - t) / h if h > 0.0 else 1.0

@@ -222,8 +222,8 @@ def _gap(work, lane, lanes, share, kind, ending):
 def locate(work, lane, lanes, kind, ending):
     """Share of the lane's step at which the gap of a kind changes its sign (regula falsi, Illinois)."""
     low, high = 0.0, 1.0
-    at_low = _gap(work, lane, lanes, 0.0, kind, ending)
-    at_high = _gap(work, lane, lanes, 1.0, kind, ending)
+    at_low = _gap(work, lane, lanes, low, kind, ending)
+    at_high = _gap(work, lane, lanes, high, kind, ending)
     if at_low * at_high >= 0.0:
         return 0.0 if abs(at_low) < abs(at_high) else 1.0
     side = 0
