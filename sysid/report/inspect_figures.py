@@ -18,8 +18,6 @@ from sysid.trials.look import LogReport
 _FIRST = ("command", "speed", "thrust", "torque", "voltage", "current")
 _MOST_ROWS = 6
 _MOST_POINTS = 20_000
-# Width below which a name is drawn above the legend, not to its left [in].
-_NARROW = 6.0
 
 
 def _chosen(recording: Recording, report: LogReport) -> list[Channel]:
@@ -71,16 +69,14 @@ def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> N
     axes.grid(True, color="0.9")
 
 
-def figure_logs(
-    recordings: Sequence[Recording], reports: Sequence[LogReport], *, width: float = 9.5
-) -> Figure:
-    """Draw the main channels of logs over time, a block of rows each; `width` in inches.
+def figure_logs(recordings: Sequence[Recording], reports: Sequence[LogReport]) -> Figure:
+    """Draw the main channels of logs over time, a block of rows each.
 
     Thin lines mark the release and the touchdown of a drop.
     """
     blocks = [_chosen(recording, report) for recording, report in zip(recordings, reports, strict=True)]
     rows = max(1, sum(len(block) for block in blocks))
-    figure = Figure(figsize=(width, 1.2 + 1.5 * rows), layout="constrained")
+    figure = Figure(figsize=(9.5, 1.2 + 1.5 * rows), layout="constrained")
     all_axes = figure.subplots(rows, 1, squeeze=False)[:, 0]
     row = 0
     for recording, report, block in zip(recordings, reports, blocks, strict=True):
@@ -96,8 +92,7 @@ def figure_logs(
             shared = shared or axes
             if place == 0:
                 title = cut_to(Path(report.path).name, 60)
-                room = {"pad": 20.0} if width < _NARROW else {}
-                axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left", **room)
+                axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left")
             if report.drop is not None and falls:
                 for word, at in (("release", report.drop.release), ("touchdown", report.drop.touchdown)):
                     if at is not None:

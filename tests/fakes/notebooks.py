@@ -154,10 +154,12 @@ def store(names):
     """Execute notebooks and store them with their outputs."""
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
-            notebook = execute(name, Path(folder))
+            before = os.times().children_user
+            notebook, path = execute(name, Path(folder)), NOTEBOOKS / f"{name}.ipynb"
             nbformat.validate(notebook)
-            nbformat.write(notebook, NOTEBOOKS / f"{name}.ipynb")
-            print(f"{name}: {(NOTEBOOKS / f'{name}.ipynb').stat().st_size / 1000:.0f} kB")
+            nbformat.write(notebook, path)
+            spent = os.times().children_user - before
+            print(f"{name}: {path.stat().st_size / 1000:.0f} kB, {spent:.0f} s of processor time")
 
 
 if __name__ == "__main__":
