@@ -228,10 +228,12 @@ def _columns(
     lost = failed[:half] | failed[half:] if central else failed
     run = (ahead - behind)[:, axis, axis].ravel()[which]
     run = np.where(np.abs(run) < 1e-12, 1e-12, run)
+    difference = values[:half] - base
+    difference[lost] = 0.0
+    difference /= run[:, None]
     out = np.zeros((count * n, values.shape[1]))
     usable = np.zeros(count * n, dtype=np.bool_)
-    usable[which] = ~lost
-    out[which] = np.where(~lost[:, None], values[:half] - base, 0.0) / run[:, None]
+    out[which], usable[which] = difference, ~lost
     return out.reshape(count, n, -1), usable.reshape(count, n)
 
 

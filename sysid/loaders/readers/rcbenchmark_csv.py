@@ -169,12 +169,15 @@ def _messages(table: NamedTable, column: Column) -> list[Finding]:
     return [note("stand-messages", f"messages of the stand's program: {shown}")] if shown else []
 
 
+def _no_clock(path: str) -> LogError:
+    return LogError(
+        f'{path}: no column "Time", so rows have no clock; if each row is one averaged point, say so with '
+        "static = true"
+    )
+
+
 def _clock(
-    path: str,
-    numbers: Numbers,
-    columns: tuple[Column | None, Column],
-    seconds: float,
-    options: BenchOptions,
+    path: str, numbers: Numbers, columns: tuple[Column | None, Column], seconds: float, options: BenchOptions
 ) -> tuple[FloatArray, FloatArray | None, list[Finding]]:
     """Return the clock [s], and instead of it point numbers and the stand's times where rows are averaged.
 
@@ -191,10 +194,7 @@ def _clock(
         levels = numbers.columns[command.index]
         static = bool(np.count_nonzero(np.diff(levels)) * 2 >= levels.size - 1 > 0)
         if not static:
-            raise LogError(
-                f'{path}: no column "Time", so rows have no clock; '
-                "if each row is one averaged point, say so with static = true"
-            )
+            raise _no_clock(path)
     elif static is None:
         static = written is not None and _is_static(written, again)
     elif static is False and written is not None and _is_static(written, again):
@@ -225,10 +225,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         raise table.missing('"Thrust", "Torque" or "Motor Optical Speed"')
     clock = table.find({"time"})
     if clock is None and (options.static is False or (options.static is None and _names_time(header))):
-        raise LogError(
-            f'{path}: no column "Time", so rows have no clock; '
-            "if each row is one averaged point, say so with static = true"
-        )
+        raise _no_clock(path)
     temperatures = [column for column in header if (column.unit or "") in ("ºC", "°C", "degC")]
 
     wanted = [command, *(column for column, _ in columns.values()), *temperatures]
