@@ -450,10 +450,6 @@ class ParameterSets(SetsContent, Shown):
             raise ExportError(f"{self.name}: no set of rank {rank}; there are {len(self)}, the best is 1")
         return RankedSet(self, rank)
 
-    def known_values(self, rank: int, names: Collection[str] | None = None) -> dict[str, float]:
-        """Return `RankedSet.known` of one set."""
-        return self.set_values(rank).known(names)
-
     @property
     def mean(self) -> FloatArray:
         """(n,) mean over the sets [unit of each]."""

@@ -91,7 +91,7 @@ def _certainty(sets: ParameterSets) -> list[str]:
 
 
 def _motor(sets: ParameterSets, rank: int) -> bytes:
-    rotor = first_order_rotor(sets.known_values(rank))
+    rotor = first_order_rotor(sets.set_values(rank).known())
     notes = [
         f"{sets.name}, set {rank} of {len(sets)}.",
         *_certainty(sets),
