@@ -109,16 +109,26 @@ def drawn_limits(rows: Iterable[Mapping[str, Any]]) -> dict[tuple[str, str], Dra
     return {(row["surface"], row["controller"]): DrawnLimits(*(row[f] for f in fields)) for row in rows}
 
 
-def figure_of_file(content: MapFile, legend: MapLegend | None = None) -> Figure:
-    """Draw the maps of a file with its static limits and real landings; see `figure_landing_maps`."""
+def figure_of_file(
+    content: MapFile, legend: MapLegend | None = None, only: LandingMap | None = None
+) -> Figure:
+    """Draw the maps of a file, or one of them, with limits and real landings; see `figure_landing_maps`."""
     settings = content.settings
+    # The impulse alone follows the two maps of a surface that it bounds.
+    alone = {each.surface: each for each in content.maps[2::3]} if len(content.impulses) else {}
+    alone_by_map = {
+        (each.surface, each.controller): alone[each.surface]
+        for each in content.maps
+        if each is not alone.get(each.surface, each)
+    }
     return figure_landing_maps(
-        content.maps,
+        content.maps if only is None else (only,),
         limits=drawn_limits(settings["static_limits"]),
         experiments=[Experiment(**row) for row in settings.get("real_landings", ())],
         short=settings["rules"]["short"],
         long=settings["rules"]["long"],
         legend=legend,
+        edges=alone_by_map,
     )
 
 
@@ -131,6 +141,7 @@ def figure_landing_maps(
     short: float = 0.45,
     long: float = 1.0,
     legend: MapLegend | None = None,
+    edges: Mapping[tuple[str, str], LandingMap] | None = None,
 ) -> Figure:
     """Draw maps: a row per surface, a column per controller.
 
@@ -150,6 +161,8 @@ def figure_landing_maps(
         Distances of the classes [m], for the legend.
     legend : MapLegend, optional
         Takes what is drawn, and the figure bears no legend: a page has one for many figures.
+    edges : mapping, optional
+        By surface and controller, the map of the impulse alone, whose edge is drawn as in Fig. 9.
     """
     surfaces = list(dict.fromkeys(chart.surface for chart in maps))
     columns = list(dict.fromkeys(chart.controller for chart in maps))
@@ -178,6 +191,9 @@ def figure_landing_maps(
             taken += list(_relative(axes, np.array([(e.speed, e.slope_deg) for e in real])))
         if lines and min(chart.landed.shape) > 1:
             _draw_contours(axes, chart, taken, legend)
+        edge = (edges or {}).get((chart.surface, chart.controller))
+        if edge is not None and min(edge.landed.shape) > 1:
+            _draw_bound(axes, edge, legend)
         _draw_experiments(axes, real, legend)
     if chosen_limits:
         _name_limits(legend, maps, chosen_limits, highest)
@@ -319,6 +335,18 @@ def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legen
                     spot[0], spot[1], f"{level:g} {unit}", fontsize=7, color=colour, zorder=5,
                     ha="center", va="center", bbox=paper(0.6, alpha=0.75),
                 )  # fmt: skip
+
+
+def _draw_bound(axes: Axes, chart: LandingMap, legend: MapLegend) -> None:
+    """Draw the edge of where half of the sets land, around cells: neighbours may differ by chance."""
+    landed = np.nan_to_num(chart.landed) >= 0.5
+    across, up = cell_edges(chart.speeds), cell_edges(chart.slopes_deg)
+    look: dict[str, Any] = {"color": "black", "linestyle": (0, (5, 2)), "linewidth": 2.0}
+    for row, column in np.argwhere(landed[1:] != landed[:-1]).tolist():
+        axes.plot(across[column : column + 2], [up[row + 1]] * 2, **look)
+    for row, column in np.argwhere(landed[:, 1:] != landed[:, :-1]).tolist():
+        axes.plot([across[column + 1]] * 2, up[row : row + 2], **look)
+    legend.line("half of the sets land with the impulse alone up to here", **look)
 
 
 def _is_long(axes: Axes, piece: FloatArray) -> bool:

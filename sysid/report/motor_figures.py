@@ -149,7 +149,10 @@ def figure_thrust(
         instants = np.append(trial.commands[:, 0] - origin, max(time[-1], trial.commands[-1, 0] - origin))
         levels = 100 * np.append(trial.commands[:, 1], trial.commands[-1, 1])
         bottom.step(instants, levels, where="post", color=RUNS[0])
-    bottom.set(ylim=(-115, 115), ylabel="command\n[%]")
+    reverses = trial.commands is not None and trial.commands[:, 1].min() < 0 < trial.commands[:, 1].max()
+    forward = trial.commands is None or trial.commands[:, 1].max() > 0
+    bottom.set(ylim=(-115, 115) if reverses else (-10, 115) if forward else (-115, 10))
+    bottom.set_ylabel("command\n[%]")
     bottom.set_xlabel("time [s]" if command is None else "time after the command [s]")
     if command is not None:
         for axes in (top, bottom):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,7 +116,7 @@ def file_pictures(content: MapFile) -> Html:
     """Return a narrow picture of every map of a file and of its best impulses, under one legend."""
     pieces, key = [], MapLegend()
     for chart in content.maps:
-        pieces.append(picture(figure_of_file(replace(content, maps=(chart,)), key), _words(chart)))
+        pieces.append(picture(figure_of_file(content, key, chart), _words(chart)))
     for best in content.impulses:
         figure = figure_impulse([best], stacked=True)
         words = f"delay and duration of the best impulse over touchdown speed and slope, {best.surface}"

@@ -18,8 +18,8 @@ from sysid.landing.real_landings import Experiment, confusion, of_map, read_expe
 from sysid.landing.store import MapFile, read_maps, write_maps
 from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps
+from sysid.report.landing_tables import maps_table
 from sysid.resume import BlockStore, Computing
-from sysid.workflows.landing_maps import _summary_table
 
 
 class Squares:
@@ -211,7 +211,7 @@ def test_a_slope_at_the_edge_of_the_map_is_a_lower_bound():
     easy.outcome[:, :, 6] = Outcome.FLIPPED  # at 1.5 m/s none
     entry = easy.summary()
     assert (entry["speeds"], entry["at_edge"]) == ([0.3, 0.6, 1.0, 1.5], [True, True, False, False])
-    row = printed(_summary_table([entry])).splitlines()[-2]
+    row = printed(maps_table([entry])).splitlines()[-2]
     assert row.count("≥ 45") == 2
     assert "–" in row
 
@@ -219,7 +219,7 @@ def test_a_slope_at_the_edge_of_the_map_is_a_lower_bound():
 def test_doubts_that_were_not_looked_for_are_not_told(tmp_path):
     entry = replace(some_map(), checked=False).summary()
     assert entry["uncertain"] is None
-    assert printed(_summary_table([entry])).splitlines()[-2].rstrip().endswith("–")
+    assert printed(maps_table([entry])).splitlines()[-2].rstrip().endswith("–")
     write_maps(tmp_path / "m.h5", MapFile((replace(some_map(), checked=False), some_map()), (), {}, {}))
     assert [one.checked for one in read_maps(tmp_path / "m.h5").maps] == [False, True]
     with h5py.File(tmp_path / "m.h5") as file:
