@@ -250,5 +250,14 @@
     stop();
     choose(Number(part("drop").value));
   }
-  for (const root of document.querySelectorAll("[data-animation]")) animate(root);
+  // Drops are read when they come near, so that the page is ready at once.
+  const near = new IntersectionObserver((entries) => {
+    for (const entry of entries) {
+      if (!entry.isIntersecting) continue;
+      near.unobserve(entry.target);
+      animate(entry.target);
+      entry.target.dataset.ready = "yes";
+    }
+  }, { rootMargin: "300px" });
+  for (const root of document.querySelectorAll("[data-animation]")) near.observe(root);
 })();

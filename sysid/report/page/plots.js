@@ -39,6 +39,8 @@
       this.data = JSON.parse(root.querySelector('script[type="application/json"]').textContent);
       this.hidden = new Set();
       this.plots = [];
+      this.fingers = new Map();
+      this.pinch = null;
       this.at = null;
       for (const button of root.querySelectorAll("button[data-do]")) {
         button.addEventListener("click", () => this.act(button.dataset.do));
@@ -193,7 +195,7 @@
 
     /* Mouse and fingers: hover, shift and drag pans, two fingers zoom and pan; a page still scrolls upwards. */
     feel(u) {
-      const over = u.over, fingers = new Map();
+      const over = u.over, fingers = this.fingers;
       let held = null;
       over.style.touchAction = "pan-y";
       const place = (event) => event.clientX - over.getBoundingClientRect().left;
@@ -216,23 +218,23 @@
         if (event.pointerType !== "touch") return;
         fingers.set(event.pointerId, event.clientX);
         if (fingers.size === 1) this.cursor(u.posToVal(place(event), "x"), true);
-        if (fingers.size === 2) held = { xs: [...fingers.values()], range: this.range.slice() };
+        if (fingers.size === 2) this.pinch = { xs: [...fingers.values()], range: this.range.slice() };
       });
       over.addEventListener("pointermove", (event) => {
         if (!fingers.has(event.pointerId)) return;
         fingers.set(event.pointerId, event.clientX);
         if (fingers.size === 1) this.cursor(u.posToVal(place(event), "x"), true);
-        if (fingers.size !== 2 || !held) return;
-        const now = [...fingers.values()], box = over.getBoundingClientRect(), [a, b] = held.range;
+        if (fingers.size !== 2 || !this.pinch) return;
+        const now = [...fingers.values()], box = over.getBoundingClientRect(), [a, b] = this.pinch.range, xs = this.pinch.xs;
         const share = (x) => (x - box.left) / box.width;
         const was = (x) => a + share(x) * (b - a);
         // What lay under each finger stays under it.
-        const wide = (was(held.xs[1]) - was(held.xs[0])) / ((share(now[1]) - share(now[0])) || 1e-3);
-        const from = was(held.xs[0]) - share(now[0]) * wide;
+        const wide = (was(xs[1]) - was(xs[0])) / ((share(now[1]) - share(now[0])) || 1e-3);
+        const from = was(xs[0]) - share(now[0]) * wide;
         if (wide > 0) this.zoom(from, from + wide);
       });
       for (const end of ["pointerup", "pointercancel", "pointerleave"]) {
-        over.addEventListener(end, (event) => { fingers.delete(event.pointerId); if (fingers.size < 2 && held && held.xs) held = null; });
+        over.addEventListener(end, (event) => { fingers.delete(event.pointerId); if (fingers.size < 2) this.pinch = null; });
       }
     }
 
@@ -311,7 +313,8 @@
         u.setCursor({ left: u.valToPos(this.at, "x"), top: 10 }, false);
         u.shown.values.replaceChildren();
         for (const [c] of u.shown.seen) {
-          if (this.hidden.has(c.label)) continue;
+          // Of several curves of one name, such as the other sets, none is read.
+          if (this.hidden.has(c.label) || u.shown.seen.filter(([each]) => each.label === c.label).length > 1) continue;
           const find = (ys) => brief(c.spans ? this.value(ys, k) : ys[k]);
           const piece = element("span", "", c.label + " " + (c.upto ? find(c.ys) + " to " + find(c.tops) : find(c.ys)));
           const mark = element("i", "dot");
@@ -392,7 +395,7 @@
         entry.target.plot = new Plot(entry.target);
         entry.target.dataset.ready = "yes";
       }
-    }, { rootMargin: "600px" });
+    }, { rootMargin: "300px" });
     for (const root of document.querySelectorAll("[data-plot]")) near.observe(root);
   }
   begin();
