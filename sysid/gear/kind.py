@@ -157,6 +157,7 @@ GEAR = Kind(
         Term("joint rubs dry", ("leg_joint_friction",)),
         Term("front k_h differs", ("front_leg_axial_stiffness_ratio",)),
         Term("front k_t differs", ("front_leg_bending_stiffness_ratio",)),
+        Term("front feet rub unlike", ("front_friction_excess",)),
         Term("ground stiffens with speed", ("ground_rate_stiffening",)),
         Term("air damps pitch", ("pitch_drag",)),
     ),

@@ -29,7 +29,7 @@ ELSEWHERE = 8
 # Of the cube, so that a difference does not leave it.
 _INSIDE = 0.05
 # Candidates that are judged over the bounds as well, the best by their gain.
-_JUDGED = 4
+_JUDGED = 6
 
 
 def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearized:

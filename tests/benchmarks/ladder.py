@@ -28,7 +28,7 @@ from sysid.synthetic import read_truth, synthesize_gear
 from sysid.trust.ladder import Climber, Ladder
 from sysid.workflows.kinds import find_kind
 
-# What the foreign terms are called among the gear's parameters. Feet of unlike friction are not declared.
+# What the foreign terms are called among the gear's parameters. Feet of unlike friction are not drawn.
 NAMES = {
     "spring_hardening": "leg_axial_hardening",
     "bending_hardening": "leg_bending_hardening",

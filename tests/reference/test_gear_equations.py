@@ -32,7 +32,8 @@ def twin_forces(p, slope, state):
         if sink > 0:
             rate = p["ground_damping"] + p["ground_stiffness"] * p["ground_rate_stiffening"] * sink
             force = p["ground_stiffness"] * sink + rate * max(sinking, 0.0)
-        friction = -p["kinetic_friction"] * abs(force) * slip / (abs(slip) + p["slip_regularization"])
+        grip = p["kinetic_friction"] * (1.0 if side > 0 else 1.0 + p["front_friction_excess"])
+        friction = -grip * abs(force) * slip / (abs(slip) + p["slip_regularization"])
         out.append((force, friction))
     return np.array(out)
 
@@ -131,7 +132,7 @@ def kernel(p, slope, state, forces=None, thrust=(0.0, 0.0)):
         k_s, b_s = p["ground_stiffness"], p["ground_damping"]
         n_c = geometry.normal_force(sink_c, dsink_c, k_s, b_s + terms.approach(sink_c, k_s, work, 0, 1))
         n_d = geometry.normal_force(sink_d, dsink_d, k_s, b_s + terms.approach(sink_d, k_s, work, 0, 1))
-        law = (p["kinetic_friction"], p["slip_regularization"])
+        law = (p["kinetic_friction"], p["slip_regularization"], p["front_friction_excess"])
         f_c, f_d = low_friction.low_friction(n_c, n_d, slip_c, slip_d, law)
         forces = np.array([(n_c, f_c), (n_d, f_d)])
     (n_c, f_c), (n_d, f_d) = forces.tolist()

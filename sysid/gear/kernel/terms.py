@@ -14,6 +14,9 @@ joint friction       joint moment M q'/sqrt(q'² + w²)             Coulomb, smo
 rate stiffening      normal force k_s c p p' while p' > 0         Hunt & Crossley 1975, loading branch
 pitch drag           moment -c |omega| omega on the body          quadratic drag of a turning body
 ===================  ===========================================  ==========================================
+
+Further terms need no column here: ratios of the front legs, and the front feet's excess of friction, which
+both laws read (friction of polymers changes with load and wear; Bowden & Tabor 1950).
 """
 
 import numpy as np

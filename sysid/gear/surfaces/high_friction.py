@@ -74,7 +74,7 @@ def high_friction(free, response, forces, slips, stuck_c, stuck_d, way_c, way_d,
     response : tuple of 3 float
         Their response to friction: rear to rear, rear to front (and back), front to front [1/kg].
     forces, slips : tuple of 2 float
-        Normal forces and slip speeds.
+        Normal forces, the front one times its excess of friction, and slip speeds.
     stuck_c, stuck_d : float
         1 for a sticking foot, 0 for a slipping one.
     way_c, way_d : float
@@ -192,14 +192,15 @@ def solve(joints, angles, rates, loads, normals, slips, modes, law, coefficients
     _, h_c, _, h_d, _ = angles
     l = coefficients.length  # noqa: E741
     stuck_c, stuck_d, way_c, way_d = modes
-    mu_k = law[0]
+    mu_k, unlike = law[0], law[2]
+    grips = (normals[0], normals[1] * (1.0 + unlike))
     free = accelerations(joints, angles, rates, loads, normals, 0.0, 0.0, coefficients)
     rear, front = friction_responses(joints, h_c, h_d, coefficients)
     t_free = foot_accelerations(joints, h_c, h_d, l, rates, free)
     g_cc, g_cd = along_slope(joints, h_c, h_d, l, rear)
     _, g_dd = along_slope(joints, h_c, h_d, l, front)
     f_c, f_d, r_c, r_d = high_friction(
-        t_free, (g_cc, g_cd, g_dd), normals, slips, stuck_c, stuck_d, way_c, way_d, mu_k
+        t_free, (g_cc, g_cd, g_dd), grips, slips, stuck_c, stuck_d, way_c, way_d, mu_k
     )
     acceleration = (
         free[0] + (f_c * rear[0] + f_d * front[0]),
@@ -219,6 +220,8 @@ def after_step(work, lane, lanes, h, taken, new_h):
     """Cut a step at the first loss of a foot's mode and switch modes there; returns taken and next step."""
     mu_k = work[at.LAW * lanes + lane]
     mu_s = mu_k + work[(at.LAW + 1) * lanes + lane]
+    unlike = 1.0 + work[(at.LAW + 2) * lanes + lane]
+    front_k, front_s = mu_k * unlike, mu_s * unlike
     c = lane
     d = lanes + lane
     stuck_c, stuck_d = work[at.STUCK * lanes + c], work[at.STUCK * lanes + d]
@@ -227,9 +230,9 @@ def after_step(work, lane, lanes, h, taken, new_h):
     n_c, v_c, r_c = work[at.NORMAL * lanes + c], work[at.SLIP * lanes + c], work[at.REQUIRED * lanes + c]
     n_d, v_d, r_d = work[at.NORMAL * lanes + d], work[at.SLIP * lanes + d], work[at.REQUIRED * lanes + d]
     now_c, lost_c, share_c = event(stuck_c, way_c, n_c, v_c, r_c, margin_c, mu_s)
-    now_d, lost_d, share_d = event(stuck_d, way_d, n_d, v_d, r_d, margin_d, mu_s)
+    now_d, lost_d, share_d = event(stuck_d, way_d, n_d, v_d, r_d, margin_d, front_s)
     inner_c = inner_share(work, 0, lane, lanes, h, stuck_c, way_c, margin_c, mu_s)
-    inner_d = inner_share(work, 1, lane, lanes, h, stuck_d, way_d, margin_d, mu_s)
+    inner_d = inner_share(work, 1, lane, lanes, h, stuck_d, way_d, margin_d, front_s)
     share_c = inner_c if inner_c < share_c else share_c
     share_d = inner_d if inner_d < share_d else share_d
     taken, new_h, hit = settle(share_c, share_d, h, taken, new_h)
@@ -241,7 +244,7 @@ def after_step(work, lane, lanes, h, taken, new_h):
         switch_c, stuck_c, way_c, n_c, v_c, r_c, margin_c, now_c, taken, mu_k
     )
     stuck_d, way_d, margin_d = next_mode(
-        switch_d, stuck_d, way_d, n_d, v_d, r_d, margin_d, now_d, taken, mu_k
+        switch_d, stuck_d, way_d, n_d, v_d, r_d, margin_d, now_d, taken, front_k
     )
     work[at.STUCK * lanes + c] = stuck_c
     work[at.STUCK * lanes + d] = stuck_d
@@ -257,7 +260,7 @@ def after_step(work, lane, lanes, h, taken, new_h):
 SURFACE = Surface(
     name="hf",
     title="high-friction",
-    reads=("kinetic_friction", "static_friction_excess"),
+    reads=("kinetic_friction", "static_friction_excess", "front_friction_excess"),
     free=(*LEGS_AND_GROUND, "leg_mass", "leg_inertia", "kinetic_friction", "static_friction_excess"),
     solve=solve,
     after_step=after_step,

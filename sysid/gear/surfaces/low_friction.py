@@ -13,20 +13,20 @@ def low_friction(force_c, force_d, slip_c, slip_d, law):
 
     Notes
     -----
-    ``F_t = -mu_k F_n v / (|v| + eps_v)`` with ``law = (mu_k, eps_v, ...)``; linear in v for |v| << eps_v, so
-    it never sticks but creeps. The two quotients share one division.
+    ``F_t = -mu_k F_n v / (|v| + eps_v)`` with ``law = (mu_k, eps_v, e, ...)``; linear in v for |v| << eps_v,
+    so it never sticks but creeps. The front foot has mu_k (1 + e). The two quotients share one division.
     """
-    mu_k, eps_v = law[:2]
+    mu_k, eps_v, unlike = law[:3]
     below_c = (slip_c if slip_c > 0.0 else -slip_c) + eps_v
     below_d = (slip_d if slip_d > 0.0 else -slip_d) + eps_v
     common = -mu_k / (below_c * below_d)
-    return common * below_d * force_c * slip_c, common * below_c * force_d * slip_d
+    return common * below_d * force_c * slip_c, common * below_c * (force_d * (1.0 + unlike)) * slip_d
 
 
 @njit(error_model="numpy", forceinline=True)
 @fused
 def low_friction_damping(force, slip, law):
-    """Slope ``-dF_t/dv`` of the law (8) at a slip speed [N·s/m]."""
+    """Slope ``-dF_t/dv`` of the law (8) at a slip speed [N·s/m]; the front foot's is alike."""
     mu_k, eps_v = law[:2]
     below = (slip if slip > 0.0 else -slip) + eps_v
     return mu_k * force * eps_v / (below * below)
@@ -35,7 +35,7 @@ def low_friction_damping(force, slip, law):
 SURFACE = Surface(
     name="lf",
     title="low-friction",
-    reads=("kinetic_friction", "slip_regularization"),
+    reads=("kinetic_friction", "slip_regularization", "front_friction_excess"),
     free=LEGS_AND_GROUND,
     solve=continuous_law(low_friction, low_friction_damping),
     friction=low_friction,

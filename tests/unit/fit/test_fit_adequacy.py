@@ -24,13 +24,14 @@ def judged(folder, at_bound=None, **terms):
     return adequacy(problem, row, at_bound)
 
 
-def test_the_foreign_simulator_without_terms_is_the_model():
-    true = model.PARAMETERS.nominal
+@pytest.mark.parametrize("excess", [0.0, 0.15])
+def test_the_foreign_simulator_without_terms_is_the_model(excess):
+    true = {**model.PARAMETERS.nominal, "front_friction_excess": excess}
     start = np.array([-0.2, 0.5, 0.0, 0.0, 0.0, 0.0])
     clock = np.linspace(0.0, 0.6, 61)
     arguments = (true, np.radians(15), start, clock)
     ours = model.simulate(*arguments, surface="lf", tolerance=model.TIGHT_TOLERANCE)
-    theirs = simulator()(*arguments, surface="lf", tolerance=model.TIGHT_TOLERANCE)
+    theirs = simulator(front_friction=1.0 + excess)(*arguments, surface="lf", tolerance=model.TIGHT_TOLERANCE)
     # Ten thousandths of the capture's noise of 0.3 mm.
     np.testing.assert_allclose(ours.state[:, :3], theirs.state[:, :3], atol=3e-8)
 
