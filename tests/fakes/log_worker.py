@@ -120,7 +120,7 @@ def main():
     from fakes.log_oracle import assert_matches
     from fakes.log_readers import READERS
     from sysid.errors import SysidError
-    from sysid.loaders import formats, load, registry
+    from sysid.loaders import formats, load, registry, table
 
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -134,6 +134,8 @@ def main():
 
     def judged(asked):
         path, form, options = Path(asked["path"]), asked["form"], asked["options"]
+        # Both ways of reading a table take their turn.
+        table._SMALL = 0 if path.stat().st_size % 2 else 1 << 17
         try:
             log = load(path, format=form if asked["damaged"] % 4 or options else "auto", **options)
         except SysidError as error:

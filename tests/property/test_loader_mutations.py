@@ -19,7 +19,7 @@ from fakes.log_readers import READERS
 from fakes.log_samples import DAMAGES, LOGS, gigantic_field
 from fakes.log_worker import BAD, Worker
 from sysid.errors import SysidError
-from sysid.loaders import load
+from sysid.loaders import load, table
 
 QUICK, MANY = 18, 300
 # Cases that once ended in a traceback, a crash, a hang, too much memory, or in no short sentence.
@@ -119,8 +119,11 @@ def test_many_damaged_logs(worker, tmp_path, name):
     bench(worker, tmp_path, name, range(QUICK, QUICK + MANY))
 
 
+@pytest.mark.parametrize("small", [-1, table._SMALL])
 @pytest.mark.parametrize("format_name", LOGS)
-def test_whole_logs_are_what_the_oracle_reads(write, format_name):
+def test_whole_logs_are_what_the_oracle_reads(write, monkeypatch, format_name, small):
+    """By the engine, and line by line as small tables are read."""
+    monkeypatch.setattr(table, "_SMALL", small)
     log = LOGS[format_name]
     path = write(log.data, "log.csv")
     for asked in (format_name, "auto"):
