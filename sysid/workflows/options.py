@@ -193,7 +193,7 @@ def _read(name: str, value: Any, hint: Any) -> Any:
         fits, expected = isinstance(value, Path), "a path"
     elif bool in kinds:
         fits, expected = isinstance(value, bool), "True or False"
-    elif mark.unit == "deg" and isinstance(value, Real) and abs(value) > math.tau:
+    elif mark.unit == "deg" and isinstance(value, Real) and abs(float(value)) > math.tau:
         raise CampaignError(f"{name} = {value:g}: a bare number is in rad; write {name} = '{value:g} deg'")
     elif int in kinds or float in kinds:
         least = -math.inf if mark.least is None else mark.least * _SI.get(mark.unit, 1.0)
