@@ -182,7 +182,8 @@ def test_keys_reach_every_control(opened):
     )
     body = driver.find_element("css selector", "body")
     seen = set()
-    for _ in range(controls + 5):
+    # What is drawn when it comes near adds its own.
+    for _ in range(controls + 40):
         body.send_keys(Keys.TAB) if not seen else driver.switch_to.active_element.send_keys(Keys.TAB)
         reached = driver.execute_script(
             "const e = document.activeElement; e.dataset.reached = '1';"
@@ -449,7 +450,7 @@ def test_printing_shows_what_is_folded(start, pages):
     driver.get(pages["gear-lf"].as_uri())
     count = (
         "dispatchEvent(new Event(arguments[0]));"
-        "return document.querySelectorAll('details:not([open])').length"
+        "return document.querySelectorAll('details:not([open], .unprinted)').length"
     )
     assert driver.execute_script(count, "beforeprint") == 0
     assert driver.execute_script(count, "afterprint") > 0
@@ -492,6 +493,8 @@ def test_no_name_runs_as_a_script(tmp_path, start):
         "document.body.append(s)"
     )
     assert "owned" not in driver.title
+    plot_of(driver, "[data-animation]")
+    plot_of(driver)
     # Traces and drops are drawn, with names as text; a file that is saved has a harmless name.
     assert driver.execute_script("return document.querySelectorAll('canvas').length") > 5
     assert set(VISIBLE[:8]) <= {
