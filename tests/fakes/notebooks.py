@@ -41,7 +41,7 @@ _MASKS = (
     # Values of what the data do not determine, and where a search happened to look.
     (re.compile(r"\S+ (?=\S+ -inf )"), "VALUE "),
     (re.compile(r"sets from \S+ to \S+"), "sets from VALUE to VALUE"),
-    (re.compile(r"determined no better than this.*"), "LOOSE"),
+    (re.compile(r"identifiable no better than this.*"), "LOOSE"),
 )
 
 
