@@ -7,6 +7,7 @@ selenium, and fails where they are missing.
 import base64
 import csv
 import json
+import shlex
 import shutil
 import time
 from importlib.resources import files
@@ -15,10 +16,20 @@ from xml.etree import ElementTree
 import pytest
 
 from fakes.hostile import VISIBLE
-from fakes.places import SAMPLES
+from fakes.places import PUBLISHED, SAMPLES
 from fakes.reports import SHORT, short_fits
+from sysid.workflows.compare import compare_and_print
+from sysid.workflows.design_study import study_designs
 from sysid.workflows.fit import fit_campaign
-from sysid.workflows.options import FitOptions, ReportOptions
+from sysid.workflows.landing_maps import compute_landing_maps
+from sysid.workflows.options import (
+    ComputeOptions,
+    DesignStudyOptions,
+    FitOptions,
+    LandingMapOptions,
+    MotorOptions,
+    ReportOptions,
+)
 from sysid.workflows.report import write_report
 
 pytestmark = pytest.mark.browser
@@ -47,7 +58,8 @@ def browser(folder, *flags):
     return webdriver.Chrome(options=options, service=webdriver.ChromeService(paths["chromedriver"]))
 
 
-PAGES = ("gear-lf", "motor", "gear-hf", "against")
+PAGES = ("gear-lf", "motor", "gear-hf", "against", "landing-map", "design-study", "comparison")
+PUBLISHED_GEAR = PUBLISHED / "published-gear-lf.json"
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +75,19 @@ def pages(short):
     out = {name: write_report(path)["report"] for name, path in short.items()}
     options = ReportOptions(against=other_day(folder), out=folder / "against.html")
     out["against"] = write_report(folder / "gear-lf", options)["report"]
+    motors = MotorOptions(PUBLISHED / "published-motor.json")
+    grid = {"slopes_deg": (5.0, 20.0, 35.0), "speeds": (0.3, 0.6, 1.2), "compute": ComputeOptions(quiet=True)}
+    options = LandingMapOptions((PUBLISHED_GEAR,), motors, folder / "landing-map.h5", **grid)
+    compute_landing_maps(options)
+    vary = "k_t=0.5:2:2,dx_f=1:1.3:2"
+    study_designs(DesignStudyOptions(PUBLISHED_GEAR, motors, vary, folder / "design-study.h5", **grid))
+    for name in ("landing-map", "design-study"):
+        out[name] = write_report(folder / f"{name}.h5")["report"]
+    out["comparison"] = folder / "comparison.html"
+    compare_and_print(
+        [short["gear-lf"], short["gear-hf"]], cross=True, page=out["comparison"], threads=1, force=False,
+        say=None, json=False,
+    )  # fmt: skip
     return out
 
 
@@ -200,7 +225,7 @@ def test_keys_reach_every_control(opened):
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_checker_finds_no_serious_violation(opened, scheme):
     axe = (files("axe_core_python") / "axe.min.js").read_text(encoding="utf-8")
-    for name in ("gear-lf", "motor", "gear-hf", "against"):
+    for name in PAGES:
         driver = opened(name)
         scheme_is(driver, scheme)
         # Loaded by the driver: the page's policy would refuse it.
@@ -209,6 +234,38 @@ def test_a_checker_finds_no_serious_violation(opened, scheme):
         serious = [each for each in found if each["impact"] in ("serious", "critical")]
         assert [(each["id"], [node["html"][:80] for node in each["nodes"]]) for each in serious] == [], name
     scheme_is(driver, "")
+
+
+def test_cells_are_read_by_mouse_keys_and_fingers(opened, run):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    driver = opened("landing-map")
+    find = lambda name: driver.find_element("css selector", f'.cells [data-{name}"]')  # noqa: E731
+    canvas = driver.find_element("css selector", ".cells canvas")
+    # The middle cell is chosen first.
+    assert (find('is="x').text, find('is="y').text) == ("0.6 m/s", "20 deg")
+    first = find('is="command').text
+    find('do="y').send_keys(Keys.END)
+    find('do="x').send_keys(Keys.HOME)
+    assert (find('is="x').text, find('is="y').text) == ("0.3 m/s", "35 deg")
+    assert "--slope 35 --speed 0.3" in find('is="command').text != first
+    size = canvas.size
+    corner = (size["width"] // 2 - 40, size["height"] // 2 - 70)
+    ActionChains(driver).move_to_element_with_offset(canvas, *corner).perform()
+    if driver.execute_script("return matchMedia('(pointer: fine)').matches"):
+        # The pointer only looks; a click keeps the cell.
+        assert (find('is="x').text, find('is="y').text) == ("1.2 m/s", "5 deg")
+    ActionChains(driver).move_to_element_with_offset(canvas, *corner).click().perform()
+    ActionChains(driver).move_to_element(find('do="copy')).perform()
+    assert (find('is="x').text, find('is="y').text) == ("1.2 m/s", "5 deg")
+    words = shlex.split(find('is="command').text)
+    code, printed, _ = run(*words[1:], "--json")
+    assert code == 0
+    (landing,) = json.loads(printed)
+    said = driver.find_elements("css selector", '.cells [data-is="rows"] td')
+    assert said[0].text.startswith({"short": "at rest within 45 cm"}[landing["outcome"]])
+    assert float(said[1].text.split()[0]) == pytest.approx(landing["distance"], abs=2e-3)
 
 
 def scheme_is(driver, scheme):

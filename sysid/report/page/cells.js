@@ -71,7 +71,7 @@ for (const root of document.querySelectorAll("[data-cells]")) {
         const one = document.createElement(c ? "td" : "th");
         if (!c) { one.scope = "row"; }
         if (c > 1) { one.className = "number"; }
-        if (c === 1) { one.append(patch(code)); }
+        if (c === 1) { one.className = "prose"; one.append(patch(code)); }
         one.append(words);
         line.appendChild(one);
       });
