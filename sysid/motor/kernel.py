@@ -77,8 +77,8 @@ MAX_STEPS, CANDIDATE_STEPS = 400_000, 4_000_000
 _EVENT = 6
 # Time scale that turns a speed scale into a torque scale for the absolute tolerance of the current [s].
 _SPIN_UP_TIME = 0.1
-# Current below which the dead-time voltage fades [A], and the longest step with it [s].
-_DEAD_CURRENT, _DEAD_STEP = 0.1, 5e-4
+# Current below which the dead-time voltage fades [A]; longest step with what is constant in one [s].
+_DEAD_CURRENT, _TERM_STEP = 0.1, 5e-4
 
 _GAMMA = 0.25
 _C2, _C3, _C4 = 0.386, 0.21, 0.63
@@ -369,9 +369,10 @@ def integrate(
             step = t_break - t if last else h
             volt = volt_segment + volt_rate * (t - t_segment)
             res = cold * (1.0 + warming * heat)
-            if drop != 0.0:
-                step = min(step, _DEAD_STEP)
+            if drop != 0.0 or warming != 0.0:
+                step = min(step, _TERM_STEP)
                 last = last and step == t_break - t
+            if drop != 0.0:
                 more, slope = _dead_time(step, level, current, volt - k_v * speed, res, ind, drop)
                 volt, res = volt + more, res + slope
             clip = in_band and over and rising

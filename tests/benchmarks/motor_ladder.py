@@ -5,7 +5,8 @@
 The term of a seed is drawn, none included, with half to all of a size that tests/physics/test_motor_terms.py
 checks against a slow solver. The ladder starts at the true parameters of the paper's model. Printed per
 campaign: the term of its truth, what the ladder keeps, NRMSE over noise before and after, the errors of R and
-L with the terms kept, and which simpler models it calls too simple.
+L with the terms kept, and which simpler models it calls too simple. R of a warming winding is that of the
+window's start, which the spin-up before it has warmed by a percent.
 """
 
 from __future__ import annotations

@@ -42,8 +42,8 @@ def test_terms_of_no_size_leave_every_bit():
     plain = simulate({}, *STEPS, TIME)
     for name in TERMS:
         tiny = simulate({name: 5e-324}, *STEPS, TIME)
-        # Dead time has steps of half a millisecond.
-        limit = 1e-6 if name == "dead_time_voltage" else 0.0
+        # What is constant in a step has steps of half a millisecond.
+        limit = 0.0 if name == "supply_resistance" else 1e-6
         np.testing.assert_allclose(tiny.current, plain.current, rtol=0, atol=20.0 * limit)
         np.testing.assert_allclose(tiny.speed, plain.speed, rtol=0, atol=900.0 * limit)
         assert np.abs(simulate({name: SIZES[name]}, *STEPS, TIME).speed - plain.speed).max() > 1.0, name
