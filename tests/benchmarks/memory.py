@@ -6,8 +6,9 @@ memory of imports and kernels, of the drops, after every run, and at most: until
 the intervals. The median difference of two runs is what a run adds. Linux only.
 
 Measured with compiled kernels in the cache (2 cores, Python 3.11, November 2026): imports and kernels take
-299 MB, of which 92 MB are LLVM's library; ``--drops 6 --runs 1`` 377 MB in the search and 425 MB with the
-intervals; ``--drops 60 --runs 100 --population 8 --finish none --max-generations 2 --no-intervals`` adds
+299 MB, of which 92 MB are LLVM's library; ``--drops 6 --runs 1`` 346 MB in the search and 395 MB with the
+intervals. The process that compiles the kernels takes 125 MB more.
+``--drops 60 --runs 100 --population 8 --finish none --max-generations 2 --no-intervals`` adds
 0.00 MB per run (median; mean 0.09) to 391 MB, and takes 683 MB when the 60 drops are judged in the end. The
 paper's method (``--finish none``) keeps some 60 generations of 400, which is 1.8 MB per run.
 """
