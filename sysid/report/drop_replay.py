@@ -13,7 +13,7 @@ import numpy as np
 from sysid.errors import ExportError
 from sysid.filters import runs
 from sysid.fit.result import FitResult, TrialResult
-from sysid.gear.model import PARAMETERS, simulate
+from sysid.gear.model import simulate
 from sysid.report.drawing import directions
 from sysid.types import BoolArray, FloatArray
 
@@ -109,10 +109,10 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     slope = float(np.radians(log["slope_deg"]))
     span = float(trial.time[-1] - trial.time[0])
     time = np.arange(0.0, span + 0.5 / RATE, 1.0 / RATE)
-    row = np.array([values[name] for name in PARAMETERS])
     surface = str(fit.settings.get("surface", "lf"))
     tolerance = float(fit.settings.get("tolerance", 3e-4))
-    run = simulate(row, slope, start, time, surface=surface, tolerance=tolerance)
+    # A row of the table that an older fit lacks takes its default.
+    run = simulate(values, slope, start, time, surface=surface, tolerance=tolerance)
     joints, feet = leg_points(run.state, values)
     lift = np.array([0.0, height])
     return DropReplay(
