@@ -37,6 +37,19 @@ def test_the_verdict_knows_right_models_from_wrong_ones(tmp_path, seed, count, w
     assert adequacy(problem, problem.space.full(point[None])[0]).verdict == word
 
 
+@pytest.mark.parametrize(
+    ("seed", "terms", "word"),
+    [(21, {}, "explained"), (22, {"leg_joint_friction": 0.06}, "not_explained")],
+)
+def test_the_verdict_knows_them_on_high_friction(tmp_path, seed, terms, word):
+    path = synthesize_gear(tmp_path / "drops", seed=seed, surface="hf", parameters=terms) / "campaign.toml"
+    problem = find_kind("gear").open(read_campaign(path, "gear"), path, None).fitted.exact
+    true = read_truth(path.parent)["parameters"]
+    truth = problem.space.encode(np.array([true[name] for name in problem.space.names]))
+    point = linearize(problem, np.clip(truth, 0.0, 1.0)).point
+    assert adequacy(problem, problem.space.full(point[None])[0]).verdict == word
+
+
 def test_intervals_under_three_foreign_terms_contain_the_truth(tmp_path):
     inside = []
     for seed in (101, 102, 103):
