@@ -248,7 +248,7 @@ class MotorProblem(Problem):
             if log.table == "no_load":
                 ratio = supply_ratio(log.points, curves.reference_voltage)
                 out[f"no_load_{log.entry.direction}"] = log.points.u, log.points.speed / ratio
-        table = {name: values[name] for name in PARAMETERS}
+        table = PARAMETERS.filled(values)
         found = list(spikes(self.campaign, [trial.log for trial in self.bench.fitted], table))
         for kind in dict.fromkeys(each[0] for each in found):
             parts = [each[1:] for each in found if each[0] == kind]
