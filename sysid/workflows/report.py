@@ -15,6 +15,7 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import ExportError, FitError, SysidError
+from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import Journal, Say
 from sysid.report.answer import Reopened
@@ -129,7 +130,7 @@ def write_report(
         tell(f"simulating the trials of {options.against} with the sets of {report.fit.name}")
         report = replace(report, against=predicted_fit(report.fit, options.against))
     if options.compare is not None:
-        report = replace(report, beside=_beside(report, options.compare))
+        report = replace(report, beside=second_fit(report, options.compare))
     tell(f"simulating the ends of the intervals of {report.fit.name}")
     report = replace(report, known=reopened(report))
     tell(f"drawing the figures of {report.fit.name}")
@@ -145,21 +146,30 @@ def write_report(
     return written
 
 
-def _beside(report: FitReport, folder: Path) -> FitReport:
-    """Return the report of a second fit; a FitError where it shares no trial with the first one."""
+def second_fit(report: FitReport, folder: Path) -> FitReport:
+    """Return the report of a second fit with the trials that it shares; a FitError where there are none."""
     other = open_report(folder)
     if other.fit.kind != report.fit.kind:
         raise FitError(
             f"{folder}: is a {other.fit.kind} fit and {report.folder} a {report.fit.kind} fit; "
             "--compare needs two fits of one kind"
         )
-    names = [trial.name for trial in report.fit.trials]
-    if not any(trial.name in names for trial in other.fit.trials):
+    # One name may be of two logs: the bytes of the log decide.
+    known = _logs(report.fit)
+    shared = tuple(
+        t for t in other.fit.trials if t.name in known and known[t.name] == _logs(other.fit)[t.name]
+    )
+    if not shared:
         raise FitError(
-            f"{folder}: shares no trial with {report.folder} ({', '.join(names)}); --compare draws the "
-            "trials that both fits have"
+            f"{folder}: shares no trial with {report.folder} ({', '.join(known)}): names or logs differ; "
+            "--compare draws the trials that both fits have"
         )
-    return other
+    return replace(other, fit=replace(other.fit, trials=shared))
+
+
+def _logs(fit: FitResult) -> dict[str, str | None]:
+    logs = fit.provenance.get("logs", {})
+    return {trial.name: logs.get(trial.name, {}).get("sha256") for trial in fit.trials}
 
 
 def print_report(folder: str | Path, options: ReportOptions, json: bool, say: Say) -> None:

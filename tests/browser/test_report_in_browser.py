@@ -427,15 +427,15 @@ def test_the_drone_fills_its_picture_on_sharp_screens(start, pages):
 
 def test_two_fits_move_beside_each_other(start, tmp_path, short):
     out = tmp_path / "two.html"
-    options = ReportOptions(compare=short["gear-hf"], out=out)
+    options = ReportOptions(compare=short["gear-lf"], out=out)
     write_report(short["gear-lf"], options)
     driver = start()
     driver.get(out.as_uri())
     root = plot_of(driver, "[data-animation]")
     names = [c.get_attribute("aria-label") for c in root.find_elements("css selector", "canvas")]
-    assert [name.partition(".")[0] for name in names] == ["synthetic-lf", "synthetic-hf"]
+    assert [name.partition(".")[0] for name in names] == ["synthetic-lf", "synthetic-lf (second)"]
     toggles = plot_of(driver).find_element("css selector", ".toggles").text
-    assert "best set of synthetic-hf" in toggles
+    assert "best set of synthetic-lf" in toggles
 
 
 def test_paper_takes_few_pages(start, pages):

@@ -125,13 +125,14 @@
     }
 
     function scene(canvas, fit) {
-      const width = canvas.clientWidth || 600, height = Math.round(width * (drop.fits.length > 1 ? 0.9 : 0.68)), ratio = devicePixelRatio || 1;
+      const width = canvas.clientWidth || 600, narrow = width < 450, height = Math.round(width * (narrow ? 1.1 : 0.68)), ratio = devicePixelRatio || 1;
       if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
       if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
       canvas.style.height = height + "px";
       const c = canvas.getContext("2d"), f = at(fit, time), arm = fit.arm + 750, tall = fit.foot[1];
       // The drone fills its canvas and the view follows it; without following, the whole movement is in view.
-      let x0 = f[0], z0 = f[1] - 0.3 * tall, k = Math.min(width / (2.15 * arm), height / (2.6 * tall));
+      // A narrow view is higher: the words above the drone have room.
+      let x0 = f[0], z0 = f[1] - (narrow ? 0.1 : 0.3) * tall, k = Math.min(width / (2.15 * arm), height / (2.6 * tall));
       if (!part("follow").checked) {
         const xs = fit.frames.map((g) => g[0]), zs = fit.frames.map((g) => g[1]);
         const box = [Math.min(...xs) - arm, Math.max(...xs) + arm, Math.min(...zs) - 1.3 * tall, Math.max(...zs) + 0.8 * tall];
@@ -214,18 +215,19 @@
       }
       function legend() {
         // The slope rises to the left: the right upper corner is free.
-        c.font = "13px system-ui, sans-serif"; c.textBaseline = "middle"; c.textAlign = "right"; c.fillStyle = colours.text;
+        const row = narrow ? 15 : 18;
+        c.font = (narrow ? 11 : 13) + "px system-ui, sans-serif"; c.textBaseline = "middle"; c.textAlign = "right"; c.fillStyle = colours.text;
         c.fillText((drop.fits.length > 1 ? fit.name + ", " : "") + drop.name + " (" + drop.use + ")", width - 10, 14);
-        c.fillText("rear " + Math.round(f[11]) + " N, front " + Math.round(f[12]) + " N", width - 10, 33);
-        const nice = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((n) => n * scale <= 90).pop() || 1;
+        c.fillText("rear " + Math.round(f[11]) + " N, front " + Math.round(f[12]) + " N", width - 10, 14 + row);
+        const nice = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((n) => n * scale <= (narrow ? 50 : 90)).pop() || 1;
         const rows = [["normal force", colours.blue], ["friction", colours.best]];
         rows.forEach(function ([text, colour], n) {
           c.fillStyle = colours.text; c.textAlign = "right";
-          c.fillText(text, width - 10 - nice * scale - 8, 54 + 18 * n);
-          arrow(width - 10 - nice * scale, 54 + 18 * n, [1, 0], nice * scale, colour);
+          c.fillText(text, width - 10 - nice * scale - 8, 14 + row * (n + 2));
+          arrow(width - 10 - nice * scale, 14 + row * (n + 2), [1, 0], nice * scale, colour);
         });
-        c.fillStyle = colours.text; c.fillText(nice + " N", width - 10, 90);
-        if (part("ghost").checked) { c.fillStyle = colours.faint; c.fillText("measured", width - 10, 108); }
+        c.fillStyle = colours.text; c.fillText(nice + " N", width - 10, 14 + 4 * row);
+        if (part("ghost").checked) { c.fillStyle = colours.faint; c.fillText("measured", width - 10, 14 + 5 * row); }
       }
     }
 

@@ -1,5 +1,7 @@
 """`sysid report --against`: which trials of the other campaign a fit has never seen."""
 
+import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,7 +9,10 @@ import pytest
 
 from fakes.fits import made_fit
 from sysid.errors import FitError
+from sysid.fit.store import write_fit
 from sysid.workflows import predict
+from sysid.workflows.options import ReportOptions
+from sysid.workflows.report import open_report, second_fit, write_report
 
 # "again" is the fitted log of drop-1 under another name; drop-3 was held back by the fit.
 LOGS = {"again": "aa", "drop-1": "dd", "drop-3": "cc", "new": "ee"}
@@ -51,3 +56,26 @@ def test_what_the_fit_saw_is_not_predicted(monkeypatch):
 def test_a_campaign_without_unseen_trials_is_refused(monkeypatch, logs, words):
     with pytest.raises(FitError, match=words):
         _predicted(monkeypatch, logs)
+
+
+def test_fits_are_compared_on_the_logs_that_both_have(tmp_path):
+    first, *rest = made_fit().trials
+    same = {"logs": {trial.name: {"sha256": trial.name} for trial in (first, *rest)}}
+    mixed = {"logs": same["logs"] | {trial.name: {"sha256": "another"} for trial in rest}}
+    folder = write_fit(replace(made_fit(), provenance=same), tmp_path / "first")
+    other = write_fit(replace(made_fit(), name="other", provenance=mixed), tmp_path / "other")
+    report = open_report(folder)
+    text = replace(report, beside=second_fit(report, other)).measured_against_simulated().text
+    data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text, re.DOTALL)[1])
+    drawn = {view["key"]: "best set of other" in json.dumps(view) for view in data["views"]}
+    assert drawn == {f"bench: {t.name}": t is first for t in (first, *rest)}
+
+
+def test_fits_of_other_logs_are_not_compared(tmp_path):
+    fit = replace(made_fit(), provenance=PROVENANCE)
+    folder = write_fit(fit, tmp_path / "first")
+    strange = {"logs": {trial.name: {"sha256": "other bytes"} for trial in fit.trials}}
+    other = write_fit(replace(fit, provenance=strange), tmp_path / "other")
+    with pytest.raises(FitError, match=r"shares no trial with .*names or logs differ"):
+        write_report(folder, ReportOptions(compare=other))
+    assert not (folder / "report.html").exists()
