@@ -105,8 +105,6 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
             f"{fit.name}, {trial.name}: the fit lacks the state in which the drop starts; fit again"
         )
     values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[0]), strict=True))
-    # A fit of an older version lacks newer rows of the table.
-    values |= PARAMETERS.filled(values)
     height, start = _start_of(values, trial.name, np.array(log[START], dtype=np.float64))
     slope = float(np.radians(log["slope_deg"]))
     span = float(trial.time[-1] - trial.time[0])
