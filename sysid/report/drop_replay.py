@@ -13,7 +13,7 @@ import numpy as np
 from sysid.errors import ExportError
 from sysid.filters import runs
 from sysid.fit.result import FitResult, TrialResult
-from sysid.gear.model import PARAMETERS, simulate
+from sysid.gear.model import simulate
 from sysid.report.drawing import directions
 from sysid.types import BoolArray, FloatArray
 
