@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import io
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -93,36 +94,36 @@ class _OverdueError(BaseException):
 
 @contextmanager
 def bounded_time(path: str) -> Iterator[None]:
-    """Refuse a file whose load takes far longer than its size explains, in any thread and on any system.
+    """Refuse a file whose load computes far longer than its size explains, in any thread and on any system.
 
-    A library in C is stopped when it returns to Python. What could keep it for ever is refused before, by
-    `sysid.loaders.hdf5` and `sysid.loaders.readers.ros_bag`.
+    Counted is the processor time of the process, so that a busy machine or a laptop that sleeps refuses no
+    file. A library in C is stopped when it returns to Python. What could keep it for ever is refused before,
+    by `sysid.loaders.hdf5` and `sysid.loaders.readers.ros_bag`.
     """
     size = Path(path).stat().st_size
     most = _TIME + _TIME_PER_BYTE * size
     thread, ended, lock = ctypes.c_ulong(threading.get_ident()), threading.Event(), threading.Lock()
-    raise_there = ctypes.pythonapi.PyThreadState_SetAsyncExc
+    raise_there, last = ctypes.pythonapi.PyThreadState_SetAsyncExc, time.process_time() + most
 
-    def end() -> None:
-        with lock:
-            if not ended.is_set():
-                raise_there(thread, ctypes.py_object(_OverdueError))
+    def watch() -> None:
+        while not ended.wait(max(last - time.process_time(), 0.0)):
+            with lock:
+                if not ended.is_set() and time.process_time() >= last:
+                    raise_there(thread, ctypes.py_object(_OverdueError))
+                    return
 
-    timer = threading.Timer(most, end)
-    timer.daemon = True
-    timer.start()
+    threading.Thread(target=watch, daemon=True).start()
     try:
         try:
             yield
         finally:
             with lock:
                 ended.set()
-            timer.cancel()
             raise_there(thread, None)  # where it has not arrived yet
     except _OverdueError:
         raise LogError(
-            f"{path}: not read after {most:.3g} s, far longer than {size / 1e6:.3g} MB explain; the file is "
-            "damaged, so copy or export it again"
+            f"{path}: not read after {most:.3g} s of processor time, far longer than {size / 1e6:.3g} MB "
+            "explain; the file is damaged, so copy or export it again"
         ) from None
 
 

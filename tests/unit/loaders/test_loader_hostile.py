@@ -223,7 +223,7 @@ def test_a_reader_that_does_not_end_is_stopped(tmp_path, monkeypatch, threads):
     def stuck(source):
         while True:
             try:
-                time.sleep(0.01)
+                sum(range(10_000))
             except Exception:
                 continue
 
@@ -234,7 +234,7 @@ def test_a_reader_that_does_not_end_is_stopped(tmp_path, monkeypatch, threads):
     path.write_bytes(b"1")
 
     def refused(_):
-        with pytest.raises(LogError, match=r"log.csv: not read after 0.2 s, far longer than 1e-06 MB"):
+        with pytest.raises(LogError, match=r"log.csv: not read after 0.2 s of processor time, far"):
             load(path, format="stuck")
         time.sleep(0.05)  # a second exception would arrive here
 
