@@ -148,6 +148,9 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
     size = (len(problem.channels), len(problem.trials), len(kinds))
     squares, counts = np.zeros(size), np.zeros(size)
     for block, level in zip(blocks, noise, strict=True):
+        # Of a block without a sample that counts no noise is known.
+        if not level:
+            continue
         part = (rest[block.start : block.stop] / level) ** 2
         valid = problem.trials[block.trial].valid[:, block.channel]
         place = np.array([kinds.index(name) for name in phases[block.trial]])
@@ -215,6 +218,8 @@ def _biases(problem: Problem, whole: FloatArray, rest: FloatArray) -> list[Bias]
     worth = dict(zip(model.channels, model.inflation, strict=True))
     out = []
     for block in problem.blocks:
+        if not block.noise:
+            continue
         error = float(np.sqrt(worth[block.channel] / max(block.count, 1)))
         mean, left = (
             float(values[block.start : block.stop].sum()) / max(block.count, 1) / block.noise
@@ -257,7 +262,7 @@ def _lasting(problem: Problem, residuals: FloatArray, channel: int) -> float:
     lag = int(small[0]) if len(small) else len(noise)
     above = below = 0.0
     for block in problem.blocks:
-        if block.channel == channel:
+        if block.channel == channel and block.noise:
             part = residuals[block.start : block.stop] / block.noise
             above += float(part[:-lag] @ part[lag:])
             below += float(part @ part)

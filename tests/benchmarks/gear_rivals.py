@@ -63,7 +63,7 @@ def derivative(t, y, coefficients, k_s, b_s, mu_k, eps_v, segments, lever):
     """
     rear, front = thrust_at(t, segments) if len(segments) else (0.0, 0.0)
     push = ((rear + front) * coefficients.per_m, (rear - front) * lever * coefficients.per_i)
-    return body_rates(y, push, coefficients, k_s, b_s, (mu_k, eps_v))[0]
+    return body_rates(y, push, coefficients, k_s, b_s, (mu_k, eps_v, 0.0))[0]
 
 
 def problem(slope, body, propulsion=None):

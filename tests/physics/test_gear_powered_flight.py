@@ -126,7 +126,7 @@ def test_histories_equal_a_joint_integration_of_18_states():
         y, 1e-6, 5000, 60, np.array(REAR[0][1:]), np.array([no_load(u) for u in REAR[1][1:]]),
         np.array(FRONT[0][1:]), np.array([no_load(u) for u in FRONT[1][1:]]), motor,
         (M["thrust_quadratic_forward"], M["thrust_quadratic_reverse"]), body, c,
-        (P["kinetic_friction"], P["slip_regularization"]), no_load(0.5),
+        (P["kinetic_friction"], P["slip_regularization"], 0.0), no_load(0.5),
     )  # fmt: skip
     time = np.arange(60) * 5e-3
     ours = simulate(P, slope, start(slope, speed), time, tolerance=1e-7, propulsion=propulsion())

@@ -87,7 +87,7 @@ def test_the_truth_of_high_friction_drops_scores_nothing(tmp_path):
 def test_front_legs_may_differ(drops):
     campaign, prepared, truth = opened(drops)
     equal = score_values(campaign, prepared, truth).cost[0]
-    names = [name for name in PARAMETERS if name.startswith("front_")]
+    names = [name for name in PARAMETERS if name.startswith("front_leg_")]
     assert len(names) == 6
     for name in names:
         assert score_values(campaign, prepared, {**truth, name: 1.5}).cost[0] > 1.5 * equal
