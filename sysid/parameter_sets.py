@@ -23,7 +23,7 @@ from sysid.documents import Document, OpenMapping, Part
 from sysid.errors import ExportError
 from sysid.parameters import Parameter, SearchSpace
 from sysid.shown import Shown
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -158,6 +158,8 @@ NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
 INTERVALS = "intervals"
 # How far noise explains what a fit leaves, see `sysid.fit.adequacy`.
 ADEQUACY = "adequacy"
+# Of the best NRMSE: a set above it says nothing about spread where a fit was cut short.
+NEAR_BEST = 1.1
 _ENDS = {"interval_95", "open_95", "verdict"}
 _JUDGED = {"verdict", "sentence", "nrmse", "floor", "ratio", "limits", "channels"}
 _BY_CHANNEL = {"name", "ratio", "by_trial", "autocorrelation"}
@@ -451,22 +453,29 @@ class ParameterSets(SetsContent, Shown):
         return RankedSet(self, rank)
 
     @property
+    def counted(self) -> BoolArray:
+        """(S,) which sets enter mean and sigma: where a fit was cut short, those near the best NRMSE."""
+        limit = NEAR_BEST * self.nrmse[0] if "cut_short" in self.provenance else np.inf
+        return ~(self.nrmse > limit)
+
+    @property
     def mean(self) -> FloatArray:
-        """(n,) mean over the sets [unit of each]."""
+        """(n,) mean over the `counted` sets [unit of each]."""
         with np.errstate(invalid="ignore", over="ignore"):
-            return self.values.mean(axis=0)
+            return self.values[self.counted].mean(axis=0)
 
     @property
     def sigma(self) -> FloatArray:
-        """(n,) standard deviation over the sets, divided by S - 1 [unit of each].
+        """(n,) standard deviation over the `counted` sets, divided by their number - 1 [unit of each].
 
         With a single set: what the source states, or NaN.
         """
-        if len(self) > 1:
+        values = self.values[self.counted]
+        if len(values) > 1:
             # An infinite value that all sets share (no saturation) has no spread.
             with np.errstate(invalid="ignore", over="ignore"):
-                spread = self.values.std(axis=0, ddof=1)
-            return np.where(np.all(self.values == self.values[:1], axis=0), 0.0, spread)
+                spread = values.std(axis=0, ddof=1)
+            return np.where(np.all(values == values[:1], axis=0), 0.0, spread)
         stated = [r.stated_sigma for r in self.parameters]
         return np.array([np.nan if value is None else value for value in stated], dtype=np.float64)
 

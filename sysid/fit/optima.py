@@ -80,6 +80,11 @@ class Agreement:
         return any(self.cut) or len(self.cost) < self.asked
 
     @property
+    def finished(self) -> int:
+        """Runs that ended by themselves [1]."""
+        return sum(reason is None for reason in self.cut)
+
+    @property
     def reached(self) -> int:
         """Runs that ended in the best optimum [1]."""
         return int(np.count_nonzero(self.optimum == 0))

@@ -377,7 +377,7 @@ class GearProblem(Problem):
         left = [
             f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
             for name, value in self.space.fixed.items()
-            if name not in given and (name in reads or name not in _read_by_laws())
+            if name not in {*given, *_NEVER_IN_DROPS} and (name in reads or name not in _read_by_laws())
         ]
         if left:
             notice(
@@ -385,6 +385,9 @@ class GearProblem(Problem):
                 f"not in the campaign, so the values of the paper's F450 are used: {', '.join(left)}; "
                 "state your own",
             )
+        for name in {*_NEVER_IN_DROPS} - given:
+            value = f"{self.space.fixed[name]:.4g} {PARAMETERS[name].unit}"
+            tell(f"{name}: the paper's {value}; no drop depends on it, only simulations with thrust do")
 
     @property
     def accuracy(self) -> Mapping[str, Any]:

@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 
 from sysid.documents import channel_symbol
-from sysid.parameter_sets import COMBINATIONS, INTERVALS, ParameterRecord, ParameterSets, in_place_of_digits
+from sysid.parameter_sets import (
+    COMBINATIONS,
+    INTERVALS,
+    NEAR_BEST,
+    ParameterRecord,
+    ParameterSets,
+    in_place_of_digits,
+)
 from sysid.report.table import (
     NONE,
     Cell,
@@ -135,6 +142,10 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
         for name in names
     )
     notes = [_SPREAD] if any(np.any(np.nan_to_num(sets.sigma, posinf=0.0) > 0) for sets in fits) else []
+    left_out = sum(int(np.count_nonzero(~sets.counted)) for sets in fits)
+    notes += (
+        [f"{left_out} of the sets left out: cut short above {NEAR_BEST:g} × best NRMSE"] if left_out else []
+    )
     notes += [f"{_FLAG} in at least one set"] if marked else []
 
     def fitted(k: int, row: MeanRow) -> Cell:

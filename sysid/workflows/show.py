@@ -61,9 +61,16 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
         return
     _print_tables(sets)
     state = "" if result.state == "done" else " (stopped early: the sets are the best until then)"
-    print(f"verdict: {verdict_on(result)}")
+    agreed = result.agreement
+    so_far = f" (with {agreed.finished} of {agreed.asked} runs finished)" if agreed.unfinished else ""
+    print(f"verdict{so_far}: {verdict_on(result)}")
     print(f"fit written to {folder}{state}; next:")
+    cut = (
+        f"fit-{result.kind} CAMPAIGN --out {folder} --resume",
+        "first: finish the runs that were cut short",
+    )
     for command, what in (
+        *([] if result.state == "done" else [cut]),
         (f"report {folder}", "one page with every trial, to open in a browser"),
         (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
         (f"export {folder} --out sets.json", "the sets for a simulator"),

@@ -54,6 +54,13 @@ def test_report_mean_sigma_table_has_the_layout_of_table_two():
     assert any("not the accuracy" in line for line in lines)
 
 
+def test_a_set_that_was_cut_far_from_the_best_enters_neither_mean_nor_sigma():
+    sets = made_sets(nrmse=[0.083, 0.084, 0.34], provenance={"cut_short": "interrupted"})
+    lines = lines_of(mean_sigma_table(sets))
+    assert line_with(lines, "k_h [N/m]")[1] == "6450 ± 71*"
+    assert "1 of the sets left out: cut short above 1.1 × best NRMSE" in " ".join(map(str.strip, lines))
+
+
 def test_report_trial_table_shows_the_best_and_the_worst_set():
     lines = lines_of(trial_table(made_sets()))
     # In sevenths: 0 and 1 of the best set; 8 and 9 of the worst.

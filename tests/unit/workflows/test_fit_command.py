@@ -61,6 +61,9 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
     assert len(cut.nrmse) == 2
 
     refused("unfinished fit is there; continue it with --resume, or discard it with --force", *fit)
+    shown = run("fit-gear", campaign, *SMALL[:-1], "--out", "shown", "--time-limit", "0.001 s")[1]
+    assert "verdict (with 0 of 2 runs finished): " in shown
+    assert "next:\n  sysid fit-gear CAMPAIGN --out shown --resume " in shown
     refused("the seed differs (now 9, then 1)", *fit, "--resume", "--seed", "9")
     code, _, err = run(*fit, "--resume")
     assert code == 0, err
