@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from math import nan
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Self
@@ -20,7 +21,13 @@ from sysid.fit.store import fit_folder, read_fit
 from sysid.landing.drone import drone
 from sysid.landing.simulate import Landing
 from sysid.loaders import load
-from sysid.parameter_sets import INTERVALS, ParameterSets, RankedSet, interval_columns
+from sysid.parameter_sets import (
+    INTERVALS,
+    ParameterSets,
+    RankedSet,
+    in_place_of_digits,
+    interval_columns,
+)
 from sysid.recording import Recording
 from sysid.report.inspect_figures import figure_logs
 from sysid.shown import Shown
@@ -285,15 +292,20 @@ class Fit(Shown):
 
     @property
     def table(self) -> pd.DataFrame:
-        """Value of the best set, unit, 95 % interval and verdict of every free parameter [SI]."""
+        """Value of the best set, unit, 95 % interval and verdict of every free parameter [SI].
+
+        The value is NaN where the data do not determine it; `sets` has what the simulators take.
+        """
         import pandas as pd
 
         best, judged = self.sets.best, self.result.settings.get(INTERVALS, {})
         free = [record for record in self.result.parameters if record.status == "free"]
+        lost = [in_place_of_digits(self.result.settings, record.name) is not None for record in free]
+        values = [nan if gone else best[record.name] for gone, record in zip(lost, free, strict=True)]
         rows = [
-            {"symbol": record.symbol, "value": best[record.name], "unit": record.unit}
+            {"symbol": record.symbol, "value": value, "unit": record.unit}
             | interval_columns(judged.get(record.name))
-            for record in free
+            for record, value in zip(free, values, strict=True)
         ]
         return pd.DataFrame(rows, index=pd.Index([record.name for record in free], name="parameter"))
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from sysid.documents import channel_symbol
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import ParameterSets
+from sysid.parameter_sets import ParameterSets, in_place_of_digits
 from sysid.report.answer import answer_box
 from sysid.report.drawing import RUNS, WIDTH, as_math, display_of, panel, percent_text, tidy
 from sysid.report.html import (
@@ -123,7 +123,8 @@ def _parameter_table(document: Row, fits: Sequence[ComparedFit]) -> Table:
 
     def value(k: int, name: str) -> str:
         row, sets = known[k].get(name), fits[k].sets
-        if row is None and name not in sets.names:
+        lost = in_place_of_digits(sets.settings, name) is not None
+        if lost or (row is None and name not in sets.names):
             return NONE
         return rounded(row["refined"] if row else float(sets.values[0, sets.names.index(name)]))
 

@@ -240,10 +240,6 @@ class FitReport:
         out = [*self._explained(), self._fitted(), *self._predicted(), *self._determined(), self._runs()]
         if self.fit.state != "done":
             out.append("It was stopped early: these are the sets that it had until then.")
-        if count := len(self.warnings()):
-            out.append(
-                f"{_counted(count, 'warning').capitalize()} {'stand' if count > 1 else 'stands'} below."
-            )
         return out
 
     def _explained(self) -> list[str]:

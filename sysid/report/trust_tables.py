@@ -267,9 +267,12 @@ def comparison_table(document: Row) -> Table:
     """Return which parameters differ between fits by more than their intervals allow."""
 
     def allowed(row: Row) -> str:
-        return f"± {row['allowed']:.2g}" if math.isfinite(row["allowed"]) else "open"
+        return f"± {row['allowed']:.2g}" if judged(row) else "open"
 
-    ends = all(math.isfinite(row["allowed"]) for row in document["differences"])
+    def judged(row: Row) -> bool:
+        return math.isfinite(row["allowed"])
+
+    ends = all(map(judged, document["differences"]))
     differs = {True: Cell("yes", "bad"), False: Cell("no"), None: Cell("not known")}
     return table(
         "differences between the fits",
@@ -277,8 +280,8 @@ def comparison_table(document: Row) -> Table:
         (
             _PARAMETER,
             words("fits", lambda row: " / ".join(row["fits"])),
-            numbers("values", lambda row: f"{number(row['values'][0])} / {number(row['values'][1])}"),
-            numbers("difference", lambda row: percent(row["difference"], 1), "%"),
+            numbers("values", lambda row: " / ".join(map(number, row["values"])) if judged(row) else NONE),
+            numbers("difference", lambda row: percent(row["difference"], 1) if judged(row) else NONE, "%"),
             numbers("allowed", allowed),
             _name("by", "by"),
             words("differs", lambda row: differs[row["differs"]]),

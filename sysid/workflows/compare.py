@@ -17,7 +17,7 @@ from sysid.report.fold import print_lines
 from sysid.report.trust_tables import print_comparison
 from sysid.storage import check_file, write_file
 from sysid.trust.comparison import compare_values, unjudged
-from sysid.trust.documents import TRUST, read_part
+from sysid.trust.documents import TRUST, read_part, with_intervals
 from sysid.types import FloatArray
 from sysid.workflows.predict import open_under, predict
 from sysid.workflows.reopen import OpenedFit, open_fit
@@ -70,7 +70,8 @@ def _compare(
         documents = [read_part(fit.folder, TRUST) for fit in opened]
         # Two fits of one campaign share its name; a table's columns must not.
         sets = tuple(
-            replace(fit.result.parameter_sets(), name=label) for fit, label in zip(opened, names, strict=True)
+            replace(with_intervals(fit.result.parameter_sets(), fit.folder), name=label)
+            for fit, label in zip(opened, names, strict=True)
         )
         missing = [label for label, document in zip(names, documents, strict=True) if document is None]
         if missing:

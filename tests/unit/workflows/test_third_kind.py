@@ -1,12 +1,15 @@
 """The skeleton serves a model that it has never seen: no file of the package knows `fakes.lag_kind`."""
 
 import hashlib
+import json
+import math
 import re
 import shutil
 from pathlib import Path
 
 import pytest
 
+import sysid
 from fakes.lag_kind import TRUE, LagProblem, write_lag
 from sysid import exact_json
 from sysid.errors import FitError, SysidWarning
@@ -84,6 +87,23 @@ def test_a_systematic_residual_is_named(lag):
     # The log shows no noise, so a share of its spread counts as noise.
     assert -5 < bias.over_noise < -2
     assert "nothing that the fit knows explains it" in bias.sentence
+
+
+def test_no_digits_of_what_the_data_do_not_determine(lag, tmp_path, run):
+    assess_fit(lag[1], TrustOptions(resamples=0))
+    folder = Path(shutil.copytree(lag[1], lag[1].parent / "open"))
+    trust = json.loads((folder / "trust.json").read_text(encoding="utf-8"))
+    row = next(row for row in trust["parameters"] if row["name"] == "gain")
+    row |= {"verdict": "not_identifiable", "open_95": [True, True]}
+    (folder / "trust.json").write_text(json.dumps(trust), encoding="utf-8")
+    table = sysid.load_fit(folder).table
+    assert math.isnan(table.loc["gain", "value"])
+    assert table.loc["time_constant", "value"] > 0
+    sides = run("compare", lag[1], folder)[1]
+    (ours,) = (line for line in sides.splitlines() if "not identifiable" in line)
+    assert ours.startswith(" K [rad/s]")
+    (apart,) = (line for line in sides.splitlines() if re.match(r" K .* open ", line))
+    assert apart.count(" — ") == 2
 
 
 def test_two_fits_on_a_page(lag, tmp_path, run, refused):
