@@ -84,6 +84,20 @@ CONFIG = ConfigDict(
 )
 
 
+def rounded(value: float, digits: int = 4) -> str:
+    """Return a number with `digits` digits; an exponent only below 1e-4 and from 1e7 on."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
+
+
+def interval(row: Any, level: int) -> str:
+    """Return the 68 % or 95 % interval of a parameter; an end that the data leave open is not printed."""
+    (low, high), (below, above) = map(rounded, row[f"interval_{level}"]), row[f"open_{level}"]
+    if below and above:
+        return "open"
+    return f"≤ {high}" if below else f"≥ {low}" if above else f"{low} to {high}"
+
+
 class Part(BaseModel):
     """A part of a document; unknown keys are refused, arrays are taken as lists."""
 

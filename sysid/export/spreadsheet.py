@@ -24,7 +24,7 @@ _COMPUTED = ("=", "+", "-", "@", "\t", "\r", "'")
 _FIXED = ("row", "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "mean", "sigma")
 _TEXTS = ("name", "symbol", "unit", "status", "meaning", "source", "group", "trial")
 _NUMBERS = ("lower", "upper", "nominal", "stated_sigma")
-# For people; the settings state the same, with open ends.
+# For people; the settings state the same.
 _INTERVAL = ("interval_low", "interval_high", "verdict")
 _RECORD = (*_TEXTS, *_NUMBERS, "scale")
 
@@ -48,7 +48,10 @@ def to_csv(sets: ParameterSets) -> bytes:
         if record["measured_range"] is not None:
             row["measured_low"], row["measured_high"] = record["measured_range"]
         if known := sets.settings.get(INTERVALS, {}).get(record["name"]):
-            row |= dict(zip(_INTERVAL, (*known["interval_95"], known["verdict"]), strict=True))
+            # The cell of an open end is empty: a bound of the search is no end.
+            (low, high), (below, above) = known["interval_95"], known["open_95"]
+            ends = None if below else low, None if above else high
+            row |= dict(zip(_INTERVAL, (*ends, known["verdict"]), strict=True))
         row |= {f"at_bound_{s + 1}": int(flag) for s, flag in enumerate(sets.at_bound[:, i])}
         rows.append(row | _by_set(sets.values[:, i]))
     rows.append({"row": "nrmse_mean", "unit": "1"} | _by_set(sets.nrmse))

@@ -48,18 +48,19 @@ def write_fit(result: FitResult, path: str | Path, force: bool = False) -> Path:
     """
     path = Path(path)
     sets = result.parameter_sets()
-    text = fit_text(result)
+    texts = fit_texts(result)
     numbers = FIT_FILE.content(lambda file: _write_numbers(file, result, sets))
     with replaced_folder(path, force=force, marker="fit.h5", error_type=FitError) as folder:
         (folder / "fit.h5").write_bytes(numbers)
-        (folder / "fit.json").write_text(text, encoding="utf-8", newline="\n")
-        (folder / "summary.txt").write_text(summary(result), encoding="utf-8", newline="\n")
+        for name, data in texts.items():
+            (folder / name).write_bytes(data)
     return path
 
 
-def fit_text(result: FitResult) -> str:
-    """Return the text of ``fit.json``."""
-    return FitDocument(**vars(result.parameter_sets().document())).text()
+def fit_texts(result: FitResult) -> dict[str, bytes]:
+    """Return ``fit.json`` and ``summary.txt``, which change when intervals are known."""
+    document = FitDocument(**vars(result.parameter_sets().document()))
+    return {"fit.json": document.text().encode("utf-8"), "summary.txt": summary(result).encode("utf-8")}
 
 
 def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:

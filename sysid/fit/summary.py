@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from sysid.documents import channel_symbol, label
+from sysid.documents import channel_symbol, interval, label
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.optima import waterfall
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import in_place_of_digits
+from sysid.parameter_sets import INTERVALS, in_place_of_digits
 
 
 def run_record(result: FitResult) -> dict[str, Any]:
@@ -93,20 +93,22 @@ def summary(result: FitResult) -> str:
         if record.status in ("free", "derived"):
             instead = in_place_of_digits(result.settings, record.name)
             cells = "".join(
-                f"{result.values[s, i]:>13.5g}{'*' if result.at_bound[s, i] else ' '}"
+                f"{result.values[s, i]:>16.5g}{'*' if result.at_bound[s, i] else ' '}"
                 if instead is None
-                else f"{instead:>13} "
+                else f"{instead:>16} "
                 for s in range(len(fitted))
             )
             head = f"{record.symbol} [{record.unit}]"
             derived = " (derived)" if record.status == "derived" else ""
-            lines.append(f"{head:<22}{cells}  {record.name}{derived}")
+            known = result.settings.get(INTERVALS, {}).get(record.name)
+            worth = f": 95 % {interval(known, 95)}, {known['verdict'].replace('_', ' ')}" if known else ""
+            lines.append(f"{head:<22}{cells}  {record.name}{derived}{worth}")
     lines += ["", "not searched (SI)", ""]
     for i, record in enumerate(result.parameters):
         if record.status in ("measured", "fixed"):
             value = result.values[0, i] if len(fitted) else np.nan
             head = f"{record.symbol} [{record.unit}]"
-            lines.append(f"{head:<22}{value:>13.5g}   {record.name} ({record.status})")
+            lines.append(f"{head:<22}{value:>16.5g}   {record.name} ({record.status})")
     lines += ["", "NRMSE of the best set by trial and channel [%]", ""]
     width = max([len(trial.name) for trial in result.trials], default=0)
     lines.append(

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from sysid.documents import interval, rounded
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, ROUGHLY_BY
 from sysid.fit.result import FitResult
 from sysid.parameter_sets import in_place_of_digits
 from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
-from sysid.report.table import NONE, Cell, Table, Tone, interval, numbers, rounded, table, words
+from sysid.report.table import NONE, Cell, Table, Tone, numbers, table, words
 from sysid.report.trust_tables import TONES, ends_of, partners, verdict_words
 from sysid.types import FloatArray
 

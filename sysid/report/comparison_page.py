@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sysid.documents import channel_symbol
+from sysid.documents import channel_symbol, interval, rounded
 from sysid.fit.result import FitResult
 from sysid.parameter_sets import ParameterSets, in_place_of_digits
 from sysid.report.answer import answer_box
@@ -30,7 +30,7 @@ from sysid.report.html import (
     unfoldable,
 )
 from sysid.report.plots import SERIES, Curve, Panel, View, interactive
-from sysid.report.table import NONE, Cell, Table, interval, name_and_unit, numbers, rounded, table, words
+from sysid.report.table import NONE, Cell, Table, name_and_unit, numbers, table, words
 from sysid.report.trust_tables import TONES, comparison_table, cross_table, verdict_words
 from sysid.types import BoolArray, FloatArray
 

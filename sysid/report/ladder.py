@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from sysid.documents import rounded
 from sysid.report.drawing import panel, save_figure
 from sysid.report.fold import print_lines, print_result, print_table
-from sysid.report.table import Cell, Table, listed, number, rounded
+from sysid.report.table import Cell, Table, listed, number
 
 Row = Mapping[str, Any]
 

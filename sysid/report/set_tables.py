@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.documents import channel_symbol
+from sysid.documents import channel_symbol, interval, rounded
 from sysid.parameter_sets import (
     COMBINATIONS,
     INTERVALS,
@@ -23,13 +23,11 @@ from sysid.report.table import (
     Cell,
     Table,
     Tone,
-    interval,
     listed,
     mean_sigma,
     name_and_unit,
     numbers,
     percent,
-    rounded,
     table,
     words,
 )

@@ -9,6 +9,8 @@ from functools import partial
 from operator import itemgetter
 from typing import Any, Literal
 
+from sysid.documents import rounded
+
 # What a cell's colour says; a reader who sees no colours loses nothing.
 Tone = Literal["", "strong", "good", "doubtful", "bad"]
 NONE = "—"
@@ -94,25 +96,11 @@ def percent(value: float | None, digits: int = 2) -> str:
     return NONE if value is None or not math.isfinite(value) else f"{100 * value:.{digits}f}"
 
 
-def interval(row: Any, level: int) -> str:
-    """Return the 68 % or 95 % interval of a parameter; an end that the data leave open is not printed."""
-    (low, high), (below, above) = map(rounded, row[f"interval_{level}"]), row[f"open_{level}"]
-    if below and above:
-        return "open"
-    return f"≤ {high}" if below else f"≥ {low}" if above else f"{low} to {high}"
-
-
 def half_width(value: float) -> str:
     """Return a relative half-width in percent; beyond ten times the value its digits mean nothing."""
     if not math.isfinite(value):
         return "open"
     return f"± {rounded(100 * value, 2)}" if value < 10 else "> 1000"
-
-
-def rounded(value: float, digits: int = 4) -> str:
-    """Return a number with `digits` digits; an exponent only below 1e-4 and from 1e7 on."""
-    text = f"{value:.{digits}g}"
-    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
 
 
 def mean_sigma(cell: tuple[float, float] | None) -> str:

@@ -9,7 +9,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from sysid.documents import channel_symbol
+from sysid.documents import channel_symbol, interval, rounded
 from sysid.parameter_sets import ParameterSets
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.set_tables import mean_sigma_table
@@ -20,14 +20,12 @@ from sysid.report.table import (
     TableColumn,
     Tone,
     half_width,
-    interval,
     listed,
     mean_sigma,
     name_and_unit,
     number,
     numbers,
     percent,
-    rounded,
     table,
     words,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from sysid.documents import interval
 from sysid.errors import ExportError
 from sysid.export import export
 from sysid.export.gazebo import MotorPlugin, to_sdf
@@ -12,7 +13,6 @@ from sysid.export.mjcf import to_mjcf
 from sysid.gear.surfaces import find_surface
 from sysid.motor.nearest_lag import first_order_rotor
 from sysid.parameter_sets import INTERVALS, ParameterSets
-from sysid.report.table import interval
 from sysid.storage import check_file, write_file
 from sysid.workflows.show import load_sets
 

@@ -13,8 +13,7 @@ from sysid.errors import FitError
 from sysid.fit.adequacy import NOT_BY, misfit_finding
 from sysid.fit.problem import Words
 from sysid.fit.result import FitResult
-from sysid.fit.store import fit_text
-from sysid.fit.summary import summary
+from sysid.fit.store import fit_texts
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import Parameter, SearchSpace, about, in_words
@@ -76,11 +75,9 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
         document["warnings"] = journal.sentences()
         document["seconds"] = time.perf_counter() - began
     # No value leaves without its interval.
-    stated = stating_intervals(opened.result, rows)
-    texts = {"fit.json": fit_text(stated), "summary.txt": summary(stated)}
     write_part(
         opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind,
-        beside={name: text.encode("utf-8") for name, text in texts.items()},
+        beside=fit_texts(stating_intervals(opened.result, rows)),
     )  # fmt: skip
     return document
 

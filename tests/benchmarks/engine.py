@@ -58,8 +58,8 @@ NUMBERS = {
 }
 TITLE = """# The search engine, measured
 
-Rendered by `tests/benchmarks/engine.py table`, which says what the parts are; not written by hand. Medians
-over the seeds; processor time is that of all threads. "alone" is the first stage by itself (for `matlab-ga`
+Tables in the layout of `tests/benchmarks/engine.py table`; that file says what the parts are. Medians over
+the seeds; processor time is that of all threads. "alone" is the first stage by itself (for `matlab-ga`
 the paper's way); "with finisher" counts the candidates of both stages.
 """
 

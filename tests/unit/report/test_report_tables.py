@@ -8,9 +8,10 @@ import pytest
 from rich.console import Console
 
 from fakes.sets import made_sets
+from sysid.documents import rounded
 from sysid.report.fold import print_table
 from sysid.report.set_tables import mean_sigma_table, mean_table, ranked_table, trial_table
-from sysid.report.table import mean_sigma, rounded
+from sysid.report.table import mean_sigma
 
 
 def lines_of(table, width=110):

@@ -1,10 +1,12 @@
 """The skeleton serves a model that it has never seen: no file of the package knows `fakes.lag_kind`."""
 
+import csv
 import hashlib
 import json
 import math
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,9 @@ import pytest
 import sysid
 from fakes.lag_kind import TRUE, LagProblem, write_lag
 from sysid import exact_json
+from sysid.documents import interval
 from sysid.errors import FitError, SysidWarning
+from sysid.export.spreadsheet import to_csv
 from sysid.fit.adequacy import adequacy
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import INTERVALS
@@ -154,6 +158,17 @@ def test_a_fit_ends_with_intervals_that_no_export_leaves_out(tmp_path):
     stated = exact_json.loads((folder / "fit.json").read_text(encoding="utf-8"))
     assert exact_json.plain(stated["settings"][INTERVALS]) == exact_json.plain(rows)
     assert "interval_low" in (tmp_path / "sets.csv").read_text(encoding="utf-8-sig").split("\n")[0]
+    # An open end has no number: a bound of the search is no end.
+    sets, name = load_sets(folder), next(iter(rows))
+    below = {**rows, name: {**rows[name], "open_95": [True, False]}}
+    table = to_csv(replace(sets, settings={**sets.settings, INTERVALS: below})).decode("utf-8-sig")
+    row = next(one for one in csv.DictReader(table.splitlines()) if one["name"] == name)
+    assert (row["interval_low"], float(row["interval_high"])) == ("", rows[name]["interval_95"][1])
+    # What a person reads first was written before the intervals were known.
+    lines = (folder / "summary.txt").read_text(encoding="utf-8").splitlines()
+    for name, row in rows.items():
+        (line,) = (one for one in lines if f" {name}: 95 % " in one)
+        assert line.endswith(f"{interval(row, 95)}, {row['verdict'].replace('_', ' ')}")
 
 
 @pytest.mark.parametrize("change", ["edited", "deleted"])
