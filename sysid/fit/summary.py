@@ -61,15 +61,24 @@ def record_lines(record: dict[str, Any], indent: str = "") -> list[str]:
         if isinstance(value, dict) and value:
             lines += [f"{indent}{key}", *record_lines(value, indent + "  ")]
         elif isinstance(value, list | tuple) and any(isinstance(item, dict | list) for item in value):
-            lines += [f"{indent}{key}", *(f"{indent}  {item}" for item in value)]
+            lines += [f"{indent}{key}", *(f"{indent}  {_in_line(item)}" for item in value)]
         elif isinstance(value, str) and "\n" in value:
             lines += [f"{indent}{key}", *(f"{indent}  {line}".rstrip() for line in value.splitlines())]
         else:
-            # A clock of Unix seconds has ten digits before the point.
-            large = isinstance(value, float) and 1e6 <= abs(value) < 1e15
-            shown = f"{value:{'.3f' if large else '.6g'}}" if isinstance(value, float) else value
-            lines.append(f"{indent}{key}: {'-' if value is None or value == [] else shown}")
+            lines.append(f"{indent}{key}: {_in_line(value)}")
     return lines
+
+
+def _in_line(value: Any) -> str:
+    """Return a value of the record in one line, six digits of every number."""
+    if isinstance(value, float):
+        # A clock of Unix seconds has ten digits before the point.
+        return f"{value:{'.3f' if 1e6 <= abs(value) < 1e15 else '.6g'}}"
+    if isinstance(value, dict):
+        return ", ".join(f"{label(name)}: {_in_line(one)}" for name, one in value.items()) or "-"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_in_line, value))}]" if value else "-"
+    return "-" if value is None or value == "" else str(value)
 
 
 def summary(result: FitResult) -> str:

@@ -12,7 +12,8 @@ import numpy as np
 from sysid.documents import interval, rounded
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, ROUGHLY_BY
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import in_place_of_digits
+from sysid.parameter_sets import INTERVALS, in_place_of_digits
+from sysid.parameters import common_name
 from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
 from sysid.report.table import NONE, Cell, Table, Tone, numbers, table, words
 from sysid.report.trust_tables import TONES, ends_of, partners, verdict_words
@@ -116,7 +117,7 @@ def counts(rows: Sequence[Mapping[str, Any]] | None, command: str) -> tuple[str,
         return "not known", f"parameters identifiable: run {command}"
     kinds = [row["verdict"] if row["verdict"] in ("well", "weakly") else "not" for row in rows]
     parts = [f"{kinds.count(kind)} {kind}" for kind in ("well", "weakly", "not")]
-    return " · ".join(parts), f"identifiable, of {len(rows)} free parameters"
+    return " · ".join(parts), f"identifiable, of {len(rows)} parameters judged"
 
 
 def next_step(fit: FitResult, trust: Mapping[str, Any] | None, predicted: bool, folder: str) -> str:
@@ -149,9 +150,15 @@ def next_step(fit: FitResult, trust: Mapping[str, Any] | None, predicted: bool, 
     return f"use the sets: `sysid export {folder}` writes them for a simulator."
 
 
+def judged_rows(fit: FitResult, trust: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
+    """Return interval and verdict by parameter: of `trust`, else what the fit itself states."""
+    found = {row["name"]: row for row in (trust or {}).get("parameters", ())}
+    return {**fit.settings.get(INTERVALS, {}), **found}
+
+
 def parameter_table(fit: FitResult, trust: Mapping[str, Any] | None, truth: Mapping[str, float]) -> Table:
     """Return the one table of free parameters: value, 95 % interval, verdict, partners, measured, truth."""
-    known = {row["name"]: row for row in (trust or {}).get("parameters", ())}
+    known = judged_rows(fit, trust)
     free = [i for i, record in enumerate(fit.parameters) if record.status == "free"]
     symbols = {record.name: record.symbol for record in fit.parameters if record.symbol}
     measured = {i: _measured(known.get(fit.parameters[i].name), fit.parameters[i]) for i in free}
@@ -181,7 +188,7 @@ def parameter_table(fit: FitResult, trust: Mapping[str, Any] | None, truth: Mapp
         free,
         (
             words("symbol", lambda i: fit.parameters[i].symbol or fit.parameters[i].name),
-            words("name", lambda i: fit.parameters[i].name.replace("_", " ")),
+            words("name", lambda i: common_name(fit.parameters[i]).replace("_", " ")),
             numbers("value", value),
             numbers("95 % interval", lambda i: interval(row_of(i), 95) if row_of(i) else NONE),
             words("unit", lambda i: fit.parameters[i].unit or "1"),

@@ -30,6 +30,7 @@ from sysid.report.answer import (
     counts,
     grouped_warnings,
     header,
+    judged_rows,
     next_step,
     over_noise,
     parameter_table,
@@ -220,7 +221,10 @@ class FitReport:
         tiles = (
             over_noise(self.fit),
             predicted,
-            counts(self.trust["parameters"] if self.trust else None, f"sysid trust {self.folder}"),
+            counts(
+                [*judged_rows(self.fit, self.trust).values()] if self.trust else None,
+                f"sysid trust {self.folder}",
+            ),
         )
         following = next_step(self.fit, self.trust, predicted[0] != "not known", str(self.folder))
         return header(self.title, self.fit, tiles, following, self.sketch()) + self.verdict()
@@ -328,7 +332,7 @@ class FitReport:
         if self.trust is None:
             out += self.missing("intervals and verdicts", "sysid trust")
         else:
-            out += unfoldable("68 % intervals", markup_table(narrow_table(self.trust)), printed=False)
+            out += unfoldable("Narrower intervals", markup_table(narrow_table(self.trust)), printed=False)
         tables = markup_table(mean_sigma_table(sets, unfixed=opened))
         out += unfoldable("Mean and spread of the runs (Tables I and II)", tables, printed=False)
         return out + unfoldable("The sets", markup_table(ranked_table(sets, opened)), printed=False)
@@ -417,7 +421,7 @@ class FitReport:
         """Return the profiles of the cost and of the likelihood."""
         pieces = []
         for record, profile in self._cost_profiles():
-            words = f"NRMSE over {record.name}, all others fitted again"
+            words = f"NRMSE over {in_words(record)}, all others fitted again"
             more = f"Dashed: {100 * profile['limit']:g} % above the best NRMSE."
             if not profile["identified"]:
                 below = f"{profile['below']:.0e} {record.unit}"

@@ -79,17 +79,18 @@ def partners(row: Row, symbols: Mapping[str, str] | None = None) -> str:
 _TRADES = words("trades with", partners)
 
 
+def _lost(row: Row) -> bool:
+    """Return whether digits of a parameter mean nothing."""
+    return bool(row["verdict"].startswith("not_"))
+
+
 def interval_table(document: Row) -> Table:
     """Return Table II with what the data leave open: value, mean ± σ of the sets, interval, verdict."""
     rows = document["parameters"]
     drawn, measured = (any(row.get(key) for row in rows) for key in ("bootstrap_95", "measured"))
 
-    def lost(row: Row) -> bool:
-        """Return whether digits of a parameter mean nothing."""
-        return bool(row["verdict"].startswith("not_"))
-
     def best(row: Row) -> str:
-        return NONE if lost(row) else rounded(row["value"]) + ("*" if row.get("at_bound") else "")
+        return NONE if _lost(row) else rounded(row["value"]) + ("*" if row.get("at_bound") else "")
 
     def spread(row: Row) -> tuple[float, float]:
         return row["mean"], row["sigma"]
@@ -102,7 +103,7 @@ def interval_table(document: Row) -> Table:
         (
             _PARAMETER,
             numbers("best set", best),
-            numbers("mean ± σ of the sets", lambda row: mean_sigma(None if lost(row) else spread(row))),
+            numbers("mean ± σ of the sets", lambda row: mean_sigma(None if _lost(row) else spread(row))),
             numbers("95 % interval", lambda row: interval(row, 95)),
             numbers("half-width", lambda row: half_width(row["half_width"]), "%"),
             _VERDICT,
@@ -121,9 +122,9 @@ def narrow_table(document: Row) -> Table:
         document["parameters"],
         (
             _PARAMETER,
-            numbers("refined", lambda row: number(row["refined"])),
+            numbers("refined", lambda row: NONE if _lost(row) else number(row["refined"])),
             numbers("68 % interval", lambda row: interval(row, 68)),
-            numbers("linearized σ", lambda row: number(row["fisher_sigma"], 2)),
+            numbers("linearized σ", lambda row: NONE if _lost(row) else number(row["fisher_sigma"], 2)),
             words("doubt", lambda row: row["doubt"] or NONE),
         ),
         "".join(_open_note(document["parameters"], 68)),

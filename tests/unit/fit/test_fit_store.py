@@ -287,3 +287,7 @@ def test_a_record_in_words_keeps_every_digit_of_a_clock():
     assert lines[0] == "release [s]: 1699999999.125"
     assert lines[1] == "cutoff [Hz]: 12.3457"
     assert lines[2:] == ["campaign", "  text", "    a = 1", "    b = 2"]
+    # Numbers inside lists are rounded as well.
+    spans = {"starts_from_rest": [[15.6113, 16.438499999999998]], "channels": [{"ratio": 0.7898635677982466}]}
+    assert record_lines(spans)[1] == "  [15.6113, 16.4385]"
+    assert record_lines(spans)[3] == "  ratio: 0.789864"
