@@ -98,7 +98,8 @@ class Unfinished:
         folder = cls.folder_of(result)
         kept = cls.kept(folder)
         if resume and not kept:
-            raise cls.ERROR(f"{folder} holds nothing to continue; start without --resume")
+            ended = f" (the {cls.WHAT} {result} is finished)" if Path(result).exists() else ""
+            raise cls.ERROR(f"{folder} holds nothing to continue{ended}; start without --resume")
         if kept and not (resume or force):
             raise cls.ERROR(
                 f"{folder}: an unfinished {cls.WHAT} is there; continue it with --resume, or discard it with "

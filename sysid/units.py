@@ -76,7 +76,9 @@ def parse_quantity(text: str, expected: str) -> float:
         raise UnitError(f"{text!r} is not a number with a unit; expected for example '1 {expected}'")
     number, unit = match.groups()
     if not unit and expected != "1":
-        raise UnitError(f"{text!r} has no unit; expected for example '{number} {expected}'")
+        # Nothing of a drone is as long as 10 m.
+        likely = "mm" if expected == "m" and abs(float(number)) >= 10 else expected
+        raise UnitError(f"{text!r} has no unit; expected for example '{number} {likely}'")
     try:
         return float(number) * factor_to_si(unit, expected)
     except UnitError as error:

@@ -111,7 +111,12 @@ def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[s
     if detail["type"] == "extra_forbidden":
         *table, key = detail["loc"]
         known = _known_keys(model, table)
-        near = difflib.get_close_matches(str(key), known, 1)
+        lacking = {d["loc"] for d in details if d["type"] == "missing"}
+        # Exchanged letters first, then keys that are missing, then by likeness.
+        near = sorted(
+            difflib.get_close_matches(str(key), known),
+            key=lambda one: (sorted(one) != sorted(str(key)), (*table, one) not in lacking),
+        )[:1]
         # A required key that was mistyped is missing as well: one mistake, counted once.
         details = [d for d in details if d["type"] != "missing" or d["loc"] != (*table, *near)]
         hint = f"nearest known key is {near[0]!r}" if near else f"known keys are {', '.join(known)}"

@@ -28,7 +28,7 @@ SAME_PLACE = 0.02
 # what lies within it.
 ENDS_WITHIN = 3e-5
 # Reasons that end a run before its stop rule does.
-_CUT: tuple[StopReason, ...] = ("interrupted", "time", "evaluations", "generations")
+CUT: tuple[StopReason, ...] = ("interrupted", "time", "evaluations", "generations")
 # The spread of such sets from which on a parameter is named [1].
 _NAMED = 0.01
 # The data do not determine a parameter when equally good candidates spread over more than a factor
@@ -175,7 +175,7 @@ def agreement(
         else:
             optimum[run] = len(first)
             first.append(int(run))
-    cut = tuple(run.stop_reason if run.stop_reason in _CUT else None for run in runs)
+    cut = tuple(run.stop_reason if run.stop_reason in CUT else None for run in runs)
     return Agreement(tuple(int(i) for i in order), optimum, cost, cut, asked or len(runs), floor)
 
 
@@ -218,7 +218,7 @@ def loose_findings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[Find
     end within 0.2 % of it. Runs that were cut short do not count: far from an optimum candidates score alike
     for other reasons.
     """
-    runs = [run for run in runs if run.stop_reason not in _CUT]
+    runs = [run for run in runs if run.stop_reason not in CUT]
     if not runs:
         return ()
     low, high = _span(runs, space, SAME_NRMSE)
@@ -268,10 +268,10 @@ def waterfall(runs: Sequence[RunHistory], free: Sequence[Searched] = ()) -> list
     ]
     for rank, i in enumerate(groups.order, start=1):
         run = runs[i]
-        ended = ", ".join(f"{stage.algorithm}: {stage.ended}" for stage in run.stages)
         lines.append(
             f"{rank:>4}  {i + 1:>3}  {100 * groups.cost[i]:>7.3f} %  {groups.cost[i] / best:>7.4f}  "
-            f"{'-' if groups.cut[i] else _letter(int(groups.optimum[i])):>7}  {run.evaluations:>10}  {ended}"
+            f"{'-' if groups.cut[i] else _letter(int(groups.optimum[i])):>7}  {run.evaluations:>10}  "
+            f"{REASONS[run.stop_reason]}"
         )
     return lines
 

@@ -16,8 +16,9 @@ from rich.live import Live
 from rich.text import Text
 
 from sysid.fit.history import Generation, RunHistory
+from sysid.fit.optima import CUT
 from sysid.fit.search import SearchSettings
-from sysid.fit.summary import failures
+from sysid.fit.stopping import REASONS
 
 # Between two plain lines [s].
 PLAIN_INTERVAL = 10.0
@@ -113,12 +114,12 @@ class FitProgress(LiveBlock):
     def on_run(self, run: int, history: RunHistory) -> None:
         """Report the end of a run (from 0)."""
         self._ended[run] = history
-        stages = ", ".join(
-            f"{stage.algorithm} {len(stage.cost)} generations ({stage.ended})" for stage in history.stages
-        )
+        lost, why = int(history.failed.sum()), history.stop_reason
         self.say(
             f"run {run + 1}/{self._settings.runs} ended: {self._score(float(history.best[-1]))}, "
-            f"{history.wall_time:.1f} s, {history.evaluations} candidates, {failures(history)}; {stages}"
+            f"{history.wall_time:.1f} s, {history.evaluations} candidates"
+            + (f", {lost} failed" if lost else "")
+            + (f" ({REASONS[why]})" if why in CUT else "")
         )
 
     def on_stop(self) -> None:

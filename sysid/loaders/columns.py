@@ -123,6 +123,12 @@ def unread_note(columns: Iterable[Column], read: Iterable[Column]) -> list[Findi
     return listing_note("columns-not-read", "columns not read", left)
 
 
+def declare_unit(channel: str, unit: str) -> str:
+    """Return the advice to declare a unit, as a campaign and as the command line write it."""
+    units = f'units = {{{channel} = "{unit}"}}'
+    return f"declare it, for example {units} (on the command line -o '{units}')"
+
+
 class DeclaredUnits:
     """Units that a user declares for columns, by label, stem or channel name; they win over the header."""
 
@@ -179,8 +185,7 @@ class DeclaredUnits:
         unit = self.unit_of(column, channel, default)
         if unit is None:
             raise UnitError(
-                f'{self.path}: column "{column.label}" states no unit; '
-                f'declare it, for example units = {{{channel} = "{expected}"}}'
+                f'{self.path}: column "{column.label}" states no unit; ' + declare_unit(channel, expected)
             )
         if expected == "m/s^2":
             unit = _ACCELERATION.get(unit, unit)

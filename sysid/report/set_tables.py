@@ -279,7 +279,7 @@ def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
             numbers("found", found),
             numbers("off", off, "%"),
             numbers("95 % interval", within),
-            words("true inside", inside),
+            words("inside", inside),
         ),
     )
 

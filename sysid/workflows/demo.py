@@ -59,9 +59,9 @@ def run_demo(data: Path | None, out: Path, quiet: bool = False, say: Say = None,
         tell(f"{number}/{len(_CAMPAIGNS)} {words}")
         options = FitOptions(out / name, force=True, quiet=quiet or json)
         result, folder = fit_campaign(samples / name / "campaign.toml", options, say=say)
-        tell(f"report of the {result.kind}")
-        nrmse = result.nrmse.tolist()
-        for what, path in _outputs(result, folder).items():
+        nrmse, outputs = result.nrmse.tolist(), _outputs(result, folder)
+        tell(f"wrote {outputs['report']}")
+        for what, path in outputs.items():
             written.append({"kind": result.kind, "what": what, "path": str(path), "nrmse": nrmse})
         truth = exact_json.loads((samples / name / "truth.json").read_text(encoding="utf-8"))
         tables.append(truth_table(result.parameter_sets(), truth["parameters"]))

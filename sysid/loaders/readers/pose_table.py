@@ -23,7 +23,15 @@ from sysid.errors import LogError, UnitError
 from sysid.journal import note
 from sysid.loaders.capture_log import Body, RawCapture, body_name, capture_format, declared_length
 from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
-from sysid.loaders.columns import Column, DeclaredUnits, NamedTable, header_columns, listing, unread_note
+from sysid.loaders.columns import (
+    Column,
+    DeclaredUnits,
+    NamedTable,
+    declare_unit,
+    header_columns,
+    listing,
+    unread_note,
+)
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source
@@ -172,7 +180,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         if step > _LONGEST_STEP:
             raise UnitError(
                 f'{path}: column "{stamp.label}" states no unit and its steps of {step:g} cannot be seconds; '
-                f'declare it, for example units = {{{stamp.label} = "ms"}}'
+                + declare_unit(stamp.label, "ms")
             )
         notes.append(note("time-unit-assumed", f'column "{stamp.label}" states no unit: read as seconds'))
     jitter = jitter_note(time)

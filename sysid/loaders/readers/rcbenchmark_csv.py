@@ -18,7 +18,7 @@ import numpy as np
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
 from sysid.loaders.clock import order_rows
-from sysid.loaders.columns import Column, DeclaredUnits, NamedTable, header_columns, unread_note
+from sysid.loaders.columns import Column, DeclaredUnits, NamedTable, declare_unit, header_columns, unread_note
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source, split_line
@@ -135,11 +135,11 @@ def _command_unit(
         f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} to {largest:g}, '
     )
     if largest > _LARGEST_DSHOT or smallest < 0.0:
-        raise UnitError(f'{fault}beyond DShot 0 to 2047; declare it, for example units = {{command = "us"}}')
+        raise UnitError(f"{fault}beyond DShot 0 to 2047; {declare_unit('command', 'us')}")
     if smallest >= _PULSE[0] and largest <= _PULSE[1]:
         raise UnitError(
-            f"{fault}as pulse widths in us do and DShot from rest does not; declare it, for example "
-            'units = {command = "us"} or {command = "dshot"} (in a campaign, log.command_unit)'
+            f"{fault}as pulse widths in us do and DShot from rest does not; "
+            f'{declare_unit("command", "us")} or {{command = "dshot"}} (in a campaign, log.command_unit)'
         )
     notes.append(note("command-unit-assumed", "the command column states no unit: read as DShot 0 to 2047"))
     return "dshot"

@@ -71,10 +71,11 @@ def test_plain_lines_where_there_is_no_terminal(monkeypatch):
         progress.on_generation(0, GENERATION)
         progress.on_run(0, HISTORY)
         progress.on_stop()
+        progress.on_run(1, RunHistory(12, (STAGE, replace(STAGE, stop_reason="time"))))
     lines = stream.getvalue().splitlines()[1:]
     assert lines[0].startswith("run 1/5  ga 7")
-    assert lines[1].startswith("run 1/5 ended: NRMSE 5.000 %, 10.0 s, 21 candidates")
-    assert "ga 1 generations (NRMSE change below the tolerance)" in lines[1]
+    assert lines[1] == "run 1/5 ended: NRMSE 5.000 %, 10.0 s, 21 candidates, 1 failed"
+    assert lines[3] == "run 2/5 ended: NRMSE 5.000 %, 20.0 s, 42 candidates, 2 failed (time limit)"
     assert "Ctrl-C again aborts" in lines[2]
     assert "\x1b" not in stream.getvalue()
 

@@ -85,6 +85,9 @@ def test_what_the_user_must_measure_is_refused_until_it_is_filled_in(kind, words
 
 @pytest.mark.parametrize(("kind", "old", "new", "sentence"), [
     ("gear", "body_mass =", "body_mas =", "unknown key vehicle.body_mas; nearest known key is 'body_mass'"),
+    ("gear", "foot_dx =", "foot_xd =", "unknown key vehicle.foot_xd; nearest known key is 'foot_dx'"),
+    ("gear", "foot_dx =", "foot_d =", "unknown key vehicle.foot_d; nearest known key is 'foot_dx'"),
+    ("gear", "foot_dz =", "foot_d =", "unknown key vehicle.foot_d; nearest known key is 'foot_dz'"),
     ("gear", '"1.242 kg"', '"1.242"', "vehicle.body_mass: '1.242' has no unit"),
     ("gear", '"1.242 kg"', '"1.242 furlong"', "not a 'kg'"),
     ("gear", '"1.242 kg"', '"1.242 kgg"', "unknown unit 'kgg'"),

@@ -184,7 +184,7 @@ def test_hdf5_layouts_and_refusals(tmp_path):
     path = hdf5(tmp_path / "log.bin", signals, device="cell 7")
     refuses(path, r"datasets /a/Fz and /b/Fz both look like thrust; choose with datasets")
     # Seconds or milliseconds: a file that does not say it is asked.
-    question = r'column "time" states no unit; declare it, .* units = .time = "s"'
+    question = r'column "time" states no unit; declare it, .* -o \'units = {time = "s"}\''
     refuses(path, question, SysidError, datasets={"thrust": "a/Fz"})
     milli = load(path, datasets={"thrust": "a/Fz"}, units={"time": "ms"})
     np.testing.assert_allclose(milli["thrust"].time, [0, 1e-4, 2e-4, 3e-4])

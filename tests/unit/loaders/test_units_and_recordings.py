@@ -62,7 +62,8 @@ def test_quantities():
 
 
 @pytest.mark.parametrize(("text", "expected", "sentence"), [
-    ("1.242", "kg", "has no unit"),
+    ("1.242", "kg", "has no unit; expected for example '1.242 kg'"),
+    ("105", "m", "has no unit; expected for example '105 mm'"),
     ("heavy", "kg", "is not a number with a unit"),
     ("1 kgg", "kg", "unknown unit 'kgg'"),
     ("1 N", "kg", "unit 'N' is not a 'kg'"),

@@ -70,7 +70,7 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
     assert read_fit("cut").state == "done"
     assert not Path("cut.checkpoint").exists()
     assert_same_fit("cut", "whole")
-    refused("holds nothing to continue", *fit, "--resume")
+    refused("holds nothing to continue (the fit cut is finished); start", *fit, "--resume")
 
 
 def test_fits_lists_states(campaign, run, refused):
