@@ -63,11 +63,6 @@ class CellChart:
     doubt: BoolArray | None = None
     share: FloatArray | None = None
 
-    def command_at(self, up: int, across: int) -> str:
-        """Return the command that simulates a cell."""
-        own = (self.across.texts[across], self.up.texts[up], *(str(text[up, across]) for text in self.texts))
-        return "".join(own[part] if isinstance(part, int) else part for part in self.command)
-
     def document(self) -> dict[str, Any]:
         """Return what the page's script draws: thousandths as whole numbers, cells row by row."""
 

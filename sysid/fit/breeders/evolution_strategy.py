@@ -24,7 +24,7 @@ if "cma" not in sys.modules:
         import cma
     finally:
         del sys.modules[_SHORTCUTS]
-    del cma.s
+    vars(cma).pop("s", None)
 else:
     import cma
 from cma.transformations import BoxConstraintsLinQuadTransformation  # noqa: E402

@@ -1,5 +1,8 @@
 """CMA-ES on whole generations against pymoo's own, which is slow and obvious."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from pymoo.algorithms.soo.nonconvex.cmaes import CMAES
@@ -37,3 +40,21 @@ def test_cmaes_is_pymoos_bit_for_bit(n_free, population):
         for ours, theirs in zip(own.population(), other.population(), strict=True):
             np.testing.assert_array_equal(ours, theirs)
     assert np.min(own.population()[0]) < 0.05
+
+
+@pytest.mark.parametrize("shortcuts", ["from . import s", ""])
+def test_cma_brings_no_matplotlib_and_may_lose_its_shortcuts(tmp_path, shortcuts):
+    package = tmp_path / "cma"
+    package.mkdir()
+    (package / "__init__.py").write_text(shortcuts)
+    (package / "s.py").write_text("import matplotlib\nwhole = True")
+    (package / "transformations.py").write_text("BoxConstraintsLinQuadTransformation = None")
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
+        "import sysid.fit.breeders.evolution_strategy, cma\n"
+        "assert cma.__file__.startswith(sys.path[0])\n"
+        "assert 'matplotlib' not in sys.modules and not hasattr(cma, 's')\n"
+        "import cma.s\n"
+        "assert cma.s.whole"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
