@@ -76,7 +76,9 @@ def partners(row: Row, symbols: Mapping[str, str] | None = None) -> str:
     return ", ".join(f"{name} {partner['correlation']:+.2f}" for name, partner in pairs) or NONE
 
 
-_TRADES = words("trades with", partners)
+def _trades(rows: Sequence[Row]) -> TableColumn:
+    """Return the column of partners, by symbol."""
+    return words("trades with", partial(partners, symbols={row["name"]: row["symbol"] for row in rows}))
 
 
 def _lost(row: Row) -> bool:
@@ -107,7 +109,7 @@ def interval_table(document: Row) -> Table:
             numbers("95 % interval", lambda row: interval(row, 95)),
             numbers("half-width", lambda row: half_width(row["half_width"]), "%"),
             _VERDICT,
-            _TRADES,
+            _trades(rows),
             numbers("bootstrap 95 %", lambda row: ends_of(row["bootstrap_95"])) if drawn else None,
             numbers("measured", lambda row: ends_of(row["measured"])) if measured else None,
         ),
@@ -157,7 +159,7 @@ def noise_table(document: Row) -> Table:
         "residuals",
         document["noise"]["channels"],
         (
-            _name("channel"),
+            words("channel", lambda row: channel_symbol(row["name"])),
             _name("unit", "unit"),
             numbers("rms residual", lambda row: number(row["residual"], 3)),
             numbers("noise floor", lambda row: number(row["floor"], 3)),
@@ -180,7 +182,7 @@ def expected_table(document: Row) -> Table:
             numbers("over bounds", lambda row: half_width(row["half_width_over_bounds"]), "%"),
             numbers("effect", lambda row: mean_sigma((row["effect"], row["interaction"]))),
             _VERDICT,
-            _TRADES,
+            _trades(document["parameters"]),
         ),
         "half-width: 95 %, from noise alone, at the defaults and (median) over the bounds; effect: mean size "
         "of the elementary effects on the NRMSE over the bounds (Morris), ± its standard deviation",

@@ -17,7 +17,7 @@ from sysid.errors import FitError
 from sysid.fit.problem import ASSUMED_NOISE, Kind, Prediction, Problem, Words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
-from sysid.journal import Finding, Journal, Say, notice
+from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
 from sysid.trust.assessment import leave_one_out, linearize
 from sysid.trust.documents import CROSS_VALIDATION, JudgedTrial, free_part, validation_part, write_part
@@ -177,16 +177,13 @@ def _document(
     judged: list[JudgedTrial],
     more: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Return the document of predicted trials, with `more` of each; tell why they are flagged."""
-    out = {
+    """Return the document of predicted trials, with `more` of each."""
+    return {
         "campaign": stated,
         **judgement(judged, float(result.nrmse[0])),
         "trials": [vars(trial) | row for trial, row in zip(judged, more, strict=True)],
         "warnings": journal.sentences(),
     }
-    for sentence in out["reasons"]:
-        journal.add(Finding("prediction-off", sentence))
-    return out
 
 
 def _notice_unlike(judged: list[JudgedTrial], words: Words) -> None:
