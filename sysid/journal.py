@@ -148,7 +148,8 @@ class Journal:
         if trials is not None:
             self.trials = trials
         waiting, self._waiting = self._waiting, []
-        for finding in folded(waiting):
+        # What the campaign misstates comes before its symptoms.
+        for finding in sorted(folded(waiting), key=lambda one: not one.code.startswith("contradicts-")):
             self._findings.append(finding)
             self._print(finding)
 

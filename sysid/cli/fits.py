@@ -82,7 +82,7 @@ def check(
     from sysid.workflows.check import check_campaign
 
     document = check_campaign(campaign, surface=surface, threads=threads, say=unless(quiet or json))
-    print_check(document, json)
+    print_check(document, json, quiet=quiet)
 
 
 @command(app, "trust", "sysid trust fits/demo/motor")

@@ -322,6 +322,10 @@ class Problem(ABC):
         """Return further keys of the document of `sysid check`."""
         return {}
 
+    def seen(self) -> dict[str, Any]:
+        """Return the quality of the logs and `about`; notice what they contradict in the campaign."""
+        return {"quality": self.quality(), **self.about()}
+
     def advice(self, weak: Collection[str]) -> list[str]:
         """Return what to record for parameters that the trials do not determine well."""
         return []

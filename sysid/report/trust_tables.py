@@ -240,8 +240,8 @@ def validation_table(name: str, document: Row) -> Table:
             place = row["stop"][what] if row.get("stop") else {}
             return mean_sigma((place["mean"], place["sigma"])) if place else NONE
 
-        return numbers(f"{what}, measured", measured, unit), numbers(
-            f"{what}, predicted", predicted, unit, joined=True
+        return numbers(f"stop {what}, measured", measured, unit), numbers(
+            f"stop {what}, predicted ± spread", predicted, unit, joined=True
         )
 
     third = (
@@ -261,6 +261,11 @@ def validation_table(name: str, document: Row) -> Table:
             numbers("leaves the noise at", leaves, "s") if leaving else None,
             *(stopping("place", "m") + stopping("time", "s") if stops else ()),
         ),
+        "stop: where (down-slope) and when the body comes to rest, else its log or board ends, since the "
+        "first touchdown; spread: standard deviation over the sets and the uncertainty of the start, without "
+        "what the model lacks; the NRMSE alone is flagged"
+        if stops
+        else "",
     )
 
 
@@ -303,8 +308,8 @@ def cross_table(document: Row) -> Table:
     )
 
 
-def print_check(document: Row, json: bool) -> None:
-    """Print a check: logs, excitation, verdicts, what to record next."""
+def print_check(document: Row, json: bool, *, quiet: bool = False) -> None:
+    """Print a check: logs, excitation, verdicts, what to record next, and the warnings once more."""
     if print_result(document, json):
         return
     print_table(quality_table(document))
@@ -313,6 +318,10 @@ def print_check(document: Row, json: bool) -> None:
     print_lines([*check_lines(document), ""])
     print_table(expected_table(document))
     print_lines([channel_line(document), "", *document["sentences"]])
+    if warnings := document["warnings"]:
+        plural = "" if len(warnings) == 1 else "s"
+        above = "" if quiet else ", above"
+        print_lines(["", f"{len(warnings)} warning{plural}{above}:", *warnings], "bold yellow")
 
 
 def check_lines(document: Row) -> list[str]:
@@ -374,7 +383,7 @@ def print_validation(document: Row, folder: Path, json: bool) -> None:
         return
     folder = folder if folder.is_dir() else folder.parent
     print_table(validation_table(folder.name, document))
-    print_lines(document["reasons"] or ["not flagged: the predictions are within what noise explains"])
+    print_lines(document["reasons"] or ["not flagged: the NRMSE is within what noise explains"])
 
 
 def print_comparison(document: Row, sets: Sequence[ParameterSets], json: bool) -> None:

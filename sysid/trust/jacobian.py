@@ -83,5 +83,5 @@ def _lost(problem: Problem, point: FloatArray) -> str:
     ]
     return (
         f"{', '.join(lost)}: cannot be simulated at the values that are judged; check the masses, lengths "
-        "and units that the campaign states, or leave the check before a fit out with --no-check"
+        "and units that the campaign states"
     )

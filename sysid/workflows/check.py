@@ -46,6 +46,8 @@ def check_campaign(
             for finding in ignored:
                 journal.add(finding)
             whole = kind.open(campaign, path, threads)
+            # What the campaign misstates is the cause of what may fail below.
+            seen = whole.seen()
             journal.fold(len(whole.trials))
             problem = whole.fitted.exact
             noise = problem.correlation()
@@ -59,7 +61,7 @@ def check_campaign(
                     candidates = rank_candidates(problem, view, made[0], tuple(made[1]), weak, drawn)
             out = _verdicts(problem, view, expected, candidates, kind.words.single)
             out["sentences"] += whole.advice([row.name for row in expected if row.verdict != "well"])
-            out |= {"quality": whole.quality(), "excitation": whole.excitation(), **whole.about()}
+            out |= {**seen, "excitation": whole.excitation()}
             warnings = journal.sentences()
     document = CheckDocument(
         campaign=CampaignFile(file=path.name, sha256=campaign.source.sha256, name=campaign.name),

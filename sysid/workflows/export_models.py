@@ -10,9 +10,11 @@ from sysid.errors import ExportError
 from sysid.export import export
 from sysid.export.gazebo import MotorPlugin, to_sdf
 from sysid.export.mjcf import to_mjcf
+from sysid.fit.adequacy import NOT_BY
 from sysid.gear.surfaces import find_surface
+from sysid.journal import notice
 from sysid.motor.nearest_lag import first_order_rotor
-from sysid.parameter_sets import INTERVALS, ParameterSets
+from sysid.parameter_sets import ADEQUACY, INTERVALS, ParameterSets
 from sysid.storage import check_file, write_file
 from sysid.workflows.show import load_sets
 
@@ -37,6 +39,11 @@ def export_sets(
     simulator, or a file exists or cannot be written; old files survive.
     """
     sets = load_sets(source)
+    if sets.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY:
+        notice(
+            "not-explained",
+            f"{source}: the model does not explain the trials, so no parameter is well known",
+        )
     suffix = target.suffix.lower()
     if suffix in MODELS:
         if suffix == ".sdf" and (per_leg or slope):

@@ -121,6 +121,8 @@ def fit_campaign(
                 for finding in ignored:
                     journal.add(finding)
                 problem = model.open(campaign, path, options.threads)
+                problem.seen()
+                journal.fold(len(problem.trials))
                 model.begin(problem)
             journal.fold(len(problem.trials))
             fitted = problem.fitted
@@ -194,7 +196,10 @@ def _judged(fitted: Problem, outcome: FitOutcome) -> Adequacy:
 
 def _expected(fitted: Problem) -> dict[str, Any]:
     """Tell what the trials are expected to determine, and return it for the provenance."""
-    rows = quick_expectations(fitted)
+    try:
+        rows = quick_expectations(fitted)
+    except FitError as error:
+        raise FitError(f"{error}, or leave the check before a fit out with --no-check") from error
     for sentence in sentences(rows):
         tell(f"expected: {sentence}")
     return {"expected": [parameter.model_dump() for parameter in rows]}

@@ -69,11 +69,18 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
         f"fit-{result.kind} CAMPAIGN --out {folder} --resume",
         "first: finish the runs that were cut short",
     )
+    use = (
+        (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
+        (f"export {folder} --out sets.json", "the sets for a simulator"),
+    )
+    mend = (
+        ("check CAMPAIGN", "do the logs contradict the campaign?"),
+        (f"ladder {folder}", "which physics does the model lack?"),
+    )
     for command, what in (
         *([] if result.state == "done" else [cut]),
         (f"report {folder}", "one page with every trial, to open in a browser"),
-        (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
-        (f"export {folder} --out sets.json", "the sets for a simulator"),
+        *(mend if result.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY else use),
     ):
         print(f"  sysid {command:<40}  {what}")
 

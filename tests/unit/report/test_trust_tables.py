@@ -7,7 +7,7 @@ import pytest
 
 from sysid.journal import Journal
 from sysid.motor.problem import taken_as_exact
-from sysid.report.trust_tables import channel_line, check_lines
+from sysid.report.trust_tables import channel_line, check_lines, validation_table
 from sysid.trust.influence import Influence
 from sysid.workflows.kinds import find_kind
 from sysid.workflows.predict import _notice_unlike
@@ -81,3 +81,14 @@ def test_a_second_log_is_said_by_its_clock():
     }  # fmt: skip
     line = check_lines({"quality": [{"name": "forward-1", "second_log": second}], "excitation": {}})[0]
     assert line == "forward-1: second log rpm.csv: clock offset 0.1235 s, confidence 0.8765"
+
+
+def test_a_prediction_says_what_its_spread_is_of():
+    """The ± of a stop is no noise: a stop beside it is not flagged."""
+    stop = {key: {"measured": 0.657, "mean": 0.7014, "sigma": 0.0006} for key in ("place", "time")}
+    shown = validation_table("fit", {"trials": [{"name": "drop-7", "nrmse": [0.1], "stop": stop}]})
+    heads = [column.title for column in shown.columns]
+    assert "stop time, measured [s]" in heads
+    assert "stop place, predicted ± spread [m]" in heads
+    for words in ("comes to rest", "since the first touchdown", "over the sets", "NRMSE alone is flagged"):
+        assert words in shown.caption

@@ -144,6 +144,34 @@ def test_an_unfinished_fit_ends_with_code_3_where_that_is_asked_for(drops, run):
     assert run("fit-gear", drops, *SMALL, "--no-check", "--no-trust", "--force", "--strict")[0] == 3
 
 
+def test_a_fit_of_a_wrong_slope_names_the_cause_and_offers_what_mends_it(drops, run):
+    """The board of drop-4 shows 20 deg; the centre of mass is 3 mm, not -9 mm, from the pivot."""
+    edit(drops / "campaign.toml", '"20 deg"', '"25 deg"')
+    edit(drops / "campaign.toml", '"3 mm"]', '"-9 mm"]')
+    code, out, err = run("fit-gear", drops, *SMALL[:-1], "--no-check")
+    assert code == 0
+    cause = "drop-4: the campaign states slope = 25.0 deg, the log shows 20.0 deg from markers"
+    mass = "off the stated centre of mass"
+    heard = [line for line in err.splitlines() if line.startswith("warning: ")]
+    assert mass in heard[0]
+    assert cause in heard[1]
+    folder = Path("fits") / "synthetic-lf"
+    stated = json.loads((folder / "fit.json").read_text(encoding="utf-8"))["provenance"]["findings"]
+    assert [one["code"] for one in stated[:2]] == ["centre-of-mass-off", "contradicts-slope"]
+    offered = out[out.index("next:") :]
+    assert "sysid check CAMPAIGN" in offered
+    assert f"sysid ladder {folder}" in offered
+    assert "export" not in offered
+    assert run("report", folder)[0] == 0
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "the log shows 20.0 deg from markers" in page
+    assert mass in page
+    code, _, err = run("export", folder, "--out", "sets.json")
+    assert (code, Path("sets.json").is_file()) == (0, True)
+    assert err.count("warning: ") == 1
+    assert "the model does not explain the trials, so no parameter is well known" in err
+
+
 def test_a_minimal_campaign_says_what_the_logs_say_and_refuses_the_rest(tmp_path, run, refused):
     """The sample drops: names, slopes (one board is seen too briefly), axes; nothing of another drone."""
     target = tmp_path / "mine.toml"
@@ -323,7 +351,9 @@ def test_a_mass_in_grams_called_kilograms_is_refused(drops, refused):
         "cannot be simulated at the values",
         "check the masses, lengths and units that the campaign states",
     ]
-    refused(words, "check", drops / "campaign.toml")
+    err = refused(words, "check", drops / "campaign.toml")
+    assert err.index("sqrt(body_inertia/body_mass)") < err.index("error: ")
+    assert "--no-check" not in err
     refused([*words, "--no-check"], "fit-gear", drops / "campaign.toml", "--out", "fit")
     assert not list(drops.parent.glob("fit*"))
 

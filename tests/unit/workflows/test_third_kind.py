@@ -57,6 +57,9 @@ def test_every_verb_serves_it(lag, capsys):
     checked = check_campaign(path)
     assert [row["verdict"] for row in checked["parameters"]] == ["well", "well"]
     print_check(checked, False)
+    assert "warning" not in capsys.readouterr().out
+    print_check(checked | {"warnings": ["one is wrong", "so is two"]}, False)
+    assert capsys.readouterr().out.endswith("2 warnings, above:\none is wrong\nso is two\n")
 
     trusted = assess_fit(folder, TrustOptions(resamples=10))
     for row in trusted["parameters"]:
