@@ -68,10 +68,10 @@ _VERDICT = words(
 )
 
 
-def partners(row: Row, symbols: Mapping[str, str] | None = None) -> str:
-    """Return the two parameters that one trades with most, by name or symbol, and the correlations."""
+def partners(row: Row, symbols: Mapping[str, str]) -> str:
+    """Return the two parameters that one trades with most, by symbol, and the correlations."""
     strongest = row.get("partners", ())[:2]
-    names = [(symbols or {}).get(partner["name"], partner["name"]) for partner in strongest]
+    names = [symbols.get(partner["name"], partner["name"]) for partner in strongest]
     pairs = zip(names, strongest, strict=True)
     return ", ".join(f"{name} {partner['correlation']:+.2f}" for name, partner in pairs) or NONE
 
@@ -273,7 +273,8 @@ def comparison_table(document: Row) -> Table:
     """Return which parameters differ between fits by more than their intervals allow."""
 
     def allowed(row: Row) -> str:
-        return f"± {row['allowed']:.2g}" if judged(row) else "open"
+        share = row["allowed"] / abs(row["values"][0]) if row["values"][0] else math.nan
+        return f"± {percent(share, 1)}" if judged(row) else "open"
 
     def judged(row: Row) -> bool:
         return math.isfinite(row["allowed"])
@@ -288,12 +289,12 @@ def comparison_table(document: Row) -> Table:
             words("fits", lambda row: " / ".join(row["fits"])),
             numbers("values", lambda row: " / ".join(map(number, row["values"])) if judged(row) else NONE),
             numbers("difference", lambda row: percent(row["difference"], 1) if judged(row) else NONE, "%"),
-            numbers("allowed", allowed),
+            numbers("allowed", allowed, "%"),
             _name("by", "by"),
-            words("differs", lambda row: differs[row["differs"]]),
+            words("real", lambda row: differs[row["differs"]]),
         ),
-        "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference"
-        + ("" if ends else "; open: an interval has no end"),
+        "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference; "
+        "real: larger than allowed" + ("" if ends else "; open: an interval has no end"),
     )
 
 
@@ -356,9 +357,9 @@ def channel_line(document: Row) -> str:
     parts = []
     for row in document["parameters"]:
         order = sorted(row["channels"].items(), key=lambda pair: -pair[1])
-        shares = [f"{name} {100 * share:.0f} %" for name, share in order if share >= _TELLS]
+        shares = [f"{channel_symbol(name)} {100 * share:.0f} %" for name, share in order if share >= _TELLS]
         # Where many channels inform a little each, the first one is named without its share.
-        first = [name for name, share in order[:1] if share > 0]
+        first = [channel_symbol(name) for name, share in order[:1] if share > 0]
         parts.append(f"{row['symbol']}: {', '.join(shares or first) or 'nothing'}")
     return f"informed by: {'; '.join(parts)}"
 

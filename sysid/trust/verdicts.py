@@ -32,10 +32,11 @@ def sentences(expected: Sequence[Expected]) -> tuple[str, ...]:
     """Return one sentence per parameter that is not well identifiable, and one on all others."""
     good = [row.symbol for row in expected if row.verdict == "well"]
     out = [f"well identifiable: {', '.join(good)}"] if good else ["nothing is well identifiable"]
+    symbols = {row.name: row.symbol for row in expected}
     for row in expected:
         if row.verdict != "well":
             word = "weakly identifiable" if row.verdict == "weakly" else "not identifiable"
-            partners = " and ".join(partner.name for partner in row.partners[:2])
+            partners = " and ".join(symbols[partner.name] for partner in row.partners[:2])
             trades = f"; trades with {partners}" if partners else ""
             name = row.name.partition("[")[0].replace("_", " ")
             out.append(f"{name} ({row.symbol}) is {word}: {as_half_width(row.worse)}{trades}")

@@ -7,7 +7,13 @@ import pytest
 
 from sysid.journal import Journal
 from sysid.motor.problem import taken_as_exact
-from sysid.report.trust_tables import channel_line, check_lines, validation_table
+from sysid.report.trust_tables import (
+    channel_line,
+    check_lines,
+    comparison_table,
+    expected_table,
+    validation_table,
+)
 from sysid.trust.influence import Influence
 from sysid.workflows.kinds import find_kind
 from sysid.workflows.predict import _notice_unlike
@@ -67,11 +73,32 @@ def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
 
 def test_a_parameter_that_no_channel_sees_is_told_by_nothing():
     rows = [
-        {"symbol": "R", "channels": {"torque": 0.3, "speed": 0.7}},
+        {"symbol": "R", "channels": {"z_B_rate": 0.3, "speed": 0.7}},
         {"symbol": "k_d", "channels": {"torque": 0.0, "speed": float("nan")}},
         {"symbol": "L", "channels": dict.fromkeys("abcdef", 1 / 6)},
     ]
-    assert channel_line({"parameters": rows}) == "informed by: R: speed 70 %, torque 30 %; k_d: nothing; L: a"
+    assert channel_line({"parameters": rows}) == "informed by: R: speed 70 %, ż_B 30 %; k_d: nothing; L: a"
+
+
+def test_a_check_names_parameters_by_symbol():
+    row = {
+        "name": "joint_dz", "symbol": "dz_j", "unit": "m", "value": 0.02, "half_width": 0.1,
+        "half_width_over_bounds": 0.1, "effect": 1.0, "interaction": 0.1, "verdict": "well",
+        "partners": [{"name": "joint_dx", "correlation": 0.9}],
+    }  # fmt: skip
+    other = row | {"name": "joint_dx", "symbol": "dx_j", "partners": []}
+    shown = expected_table({"campaign": {"name": "c"}, "parameters": [row, other]})
+    assert shown.rows[0][-1].text == "dx_j +0.90"
+
+
+def test_a_difference_and_what_is_allowed_have_one_unit():
+    row = {
+        "symbol": "R", "unit": "Ω", "fits": ["a", "b"], "values": [0.2, 0.201], "difference": 0.005,
+        "allowed": 0.002, "by": "profile intervals", "differs": False,
+    }  # fmt: skip
+    shown = comparison_table({"differences": [row]})
+    cells = {column.title: cell.text for column, cell in zip(shown.columns, shown.rows[0], strict=True)}
+    assert (cells["difference [%]"], cells["allowed [%]"], cells["real"]) == ("0.5", "± 1.0", "no")
 
 
 def test_a_second_log_is_said_by_its_clock():
