@@ -15,7 +15,7 @@ from scipy import signal
 from sysid.campaign import GearCampaign
 from sysid.filters import bridge_gaps, runs
 from sysid.gear.drops import PreparedDrop
-from sysid.gear.model import PARAMETERS, Drops, Ending, simulate_population
+from sysid.gear.model import PARAMETERS, Drops, Ending, find_surface, simulate_population
 from sysid.gear.starts import start_roots
 from sysid.journal import notice
 from sysid.types import FloatArray
@@ -104,15 +104,17 @@ def centre_of_mass(drops: tuple[PreparedDrop, ...], campaign: GearCampaign) -> d
     sure.
 
     Down-slope and up in the body while it hangs level. None where it flew too little after a contact. Flights
-    of some 50 ms determine it to centimetres only: they mostly show the velocity at their start.
+    of some 50 ms determine it to centimetres only: they mostly show the velocity at their start. Legs with a
+    mass swing on after a contact and take the body off its parabola: of such a model nothing is sure.
     """
     flights = [part for drop in drops for part in _flights(drop)]
     noise = max(float(np.max(drop.flight.noise[:2])) for drop in drops)
     if sum(len(part[0]) for part in flights) < 4 * _LEAST_FLIGHT:
         return None
     offset, error = turning_point(flights, campaign.vehicle.gravity, noise)
+    massless = "leg_mass" not in find_surface(campaign.surface.law).free
     for name, value, sigma in zip(("down-slope", "up"), offset, error, strict=True):
-        if abs(value) > max(_SURE * sigma, _FAR):
+        if massless and abs(value) > max(_SURE * sigma, _FAR):
             notice(
                 "centre-of-mass-off",
                 f"in free flight the body turns about a point {1000 * value:.1f} ± {1000 * sigma:.1f} mm off "
