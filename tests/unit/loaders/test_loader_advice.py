@@ -26,9 +26,9 @@ EVERY_OPTION = sorted({option for log_format in FORMATS.values() for option in l
 ADVISED = re.compile(rf"(?<![\w.{{ ])\s?\b({'|'.join(EVERY_OPTION)}) = ")
 # Messages that only appear for a caller with the option; their tests are below.
 DECIDED_BY_THE_CALLER = {
-    ("order_rows", "time_back"), ("table_head", "columns"), ("DeclaredUnits", "units"), ("declare_unit", "units"),
-    ("rate_clock", "rate"), ("_marker_bodies", "bodies"), ("fit_pose", "bodies"), ("_without_tare", "tare"),
-    ("motor_transform", "transform"),
+    ("order_rows", "time_back"), ("table_head", "columns"), ("DeclaredUnits", "units"),
+    ("declare_unit", "units"), ("rate_clock", "rate"), ("_marker_bodies", "bodies"), ("fit_pose", "bodies"),
+    ("_without_tare", "tare"), ("motor_transform", "transform"),
 }  # fmt: skip
 
 
