@@ -62,7 +62,10 @@ def factor_to_si(unit: str, expected: str = "") -> float:
         if base.dimensionality != wanted.dimensionality or (
             mixes_hertz and wanted.dimensionality == {"[time]": -1}
         ):
-            raise UnitError(f"unit {unit!r} is not a {expected!r}; expected a unit of that dimension")
+            likely = "expected a unit of that dimension"
+            if base.check("[mass]") and wanted.check("[force]"):
+                likely = f"did you mean {unit.strip() + 'f'!r}, the weight of that mass?"
+            raise UnitError(f"unit {unit!r} is not a {expected!r}; {likely}")
     return float(base.magnitude)
 
 

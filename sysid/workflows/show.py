@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from sysid import exact_json
@@ -52,6 +53,15 @@ def is_unfinished(result: FitResult) -> bool:
     return result.state != "done" or any(run.stop_reason in budgets for run in result.runs)
 
 
+def _continued(result: FitResult, folder: Path) -> str:
+    """Return the command that goes on with a fit whose other search options are the defaults."""
+    place = result.provenance.get("campaign", {}).get("from_fit_folder")
+    search = result.provenance.get("search", {})
+    same = "".join(f" --{name} {search[name]}" for name in ("runs", "seed") if name in search)
+    campaign = os.path.normpath(folder / place) if place else "CAMPAIGN"
+    return f"fit-{result.kind} {campaign} --out {folder} --resume{same}"
+
+
 def print_fit(result: FitResult, folder: Path, json: bool) -> None:
     """Print the sets of a fit and the fit's folder."""
     sets = result.parameter_sets()
@@ -65,10 +75,7 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
     so_far = f" (with {agreed.finished} of {agreed.asked} runs finished)" if agreed.unfinished else ""
     print(f"verdict{so_far}: {verdict_on(result)}")
     print(f"fit written to {folder}{state}; next:")
-    cut = (
-        f"fit-{result.kind} CAMPAIGN --out {folder} --resume",
-        "first: finish the runs that were cut short",
-    )
+    cut = (_continued(result, folder), "first: finish the runs that were cut short (add its other options)")
     use = (
         (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
         (f"export {folder} --out sets.json", "the sets for a simulator"),

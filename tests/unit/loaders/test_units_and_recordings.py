@@ -66,6 +66,7 @@ def test_quantities():
     ("105", "m", "has no unit; expected for example '105 mm'"),
     ("heavy", "kg", "is not a number with a unit"),
     ("1 kgg", "kg", "unknown unit 'kgg'"),
+    ("1 g", "N", "did you mean 'gf', the weight of that mass"),
     ("1 N", "kg", "unit 'N' is not a 'kg'"),
     # A frequency is no angular speed: 50 Hz would silently be 50 rad/s.
     ("50 Hz", "rad/s", "unit 'Hz' is not a 'rad/s'"),
