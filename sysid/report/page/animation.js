@@ -258,6 +258,7 @@
       if (!entry.isIntersecting) continue;
       near.unobserve(entry.target);
       animate(entry.target);
+      document.dispatchEvent(new CustomEvent("sysid-join"));
       entry.target.dataset.ready = "yes";
     }
   }, { rootMargin: "300px" });

@@ -393,6 +393,7 @@
         if (!entry.isIntersecting) continue;
         near.unobserve(entry.target);
         entry.target.plot = new Plot(entry.target);
+        document.dispatchEvent(new CustomEvent("sysid-join"));
         entry.target.dataset.ready = "yes";
       }
     }, { rootMargin: "300px" });
