@@ -336,7 +336,7 @@ def design_study(
         if not maps:
             return None
         attitudes.append(maps)
-    # A design's landings of all attitudes as one map, as if each attitude had sets of its own.
+    # One map holds the landings of a design in all attitudes: an attitude counts like one more parameter set.
     whole = [
         replace(maps[0], **{
             name: np.concatenate([getattr(each, name) for each in maps])

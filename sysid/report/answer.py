@@ -206,7 +206,7 @@ def _measured(row: Mapping[str, Any] | None, record: Any) -> str:
 
 
 def grouped_warnings(warnings: Sequence[str], findings: Sequence[Mapping[str, Any]]) -> Html:
-    """Return warnings by what was found, a heading for those of one code."""
+    """Return the warnings, grouped by their code, each group below a heading."""
     groups: dict[str, list[str]] = {}
     for warning in warnings:
         codes = (each["code"] for each in findings if each["sentence"] in warning)
