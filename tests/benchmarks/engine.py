@@ -292,42 +292,41 @@ def workers(arguments, folder):
 
     settings = SearchSettings(seed=1, stop=StopRule(max_generations=arguments.generations), finish="none")
     everywhere = os.sched_getaffinity(0)
-    spent = {"processes": {}, "threads": {}}
-    busy = {}
-    for count in (1, 2):
-        objective = problem(arguments.problem, Path(folder) / str(count), threads=1)
-        _pin(sorted(everywhere)[:count])
-        options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": None}
-        with distributed.LocalCluster(**options) as pool:
-            where = DaskCluster(pool.scheduler_address, at_once=5)
-            spread = SpreadObjective(objective, where)
-            spread.evaluate(np.random.default_rng(0).random((64, len(objective.space.free))))  # compiles
-            began, clock = time.perf_counter(), _processor_time(where)
-            run_many(spread, settings, at_once=5)
-            spent["processes"][count] = time.perf_counter() - began
-            busy[count] = (_processor_time(where) - clock) / (count * spent["processes"][count])
-            where.close()
-        _pin(everywhere)
-    for count in (1, 2):
-        objective = problem(arguments.problem, Path(folder) / f"threads-{count}", threads=count)
-        _pin(sorted(everywhere)[:count])
-        with LocalThreads() as local:
-            spread = SpreadObjective(objective, local)
-            began = time.perf_counter()
-            run_many(spread, settings, at_once=local.at_once)
-            spent["threads"][count] = time.perf_counter() - began
-        _pin(everywhere)
-    out = {
-        f"{way}: {what}": value
-        for way, times in spent.items()
-        for what, value in (
-            ("one core [s]", times[1]),
-            ("two cores [s]", times[2]),
-            ("efficiency", times[1] / (2 * times[2])),
-        )
-    }
+    spent = {way: {1: [], 2: []} for way in ("processes", "threads")}
+    got = {1: [], 2: []}
+    # In turn, because the speed of a shared machine drifts.
+    for _ in range(arguments.pairs):
+        for count in (1, 2):
+            objective = problem(arguments.problem, Path(tempfile.mkdtemp(dir=folder)), threads=1)
+            _pin(sorted(everywhere)[:count])
+            options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": None}
+            with distributed.LocalCluster(**options) as pool:
+                where = DaskCluster(pool.scheduler_address, at_once=5)
+                spread = SpreadObjective(objective, where)
+                spread.evaluate(np.random.default_rng(0).random((64, len(objective.space.free))))  # compiles
+                began, clock = time.perf_counter(), _processor_time(where)
+                run_many(spread, settings, at_once=5)
+                wall = time.perf_counter() - began
+                spent["processes"][count].append(wall)
+                got[count].append((_processor_time(where) - clock) / (count * wall))
+                where.close()
+            _pin(everywhere)
+        for count in (1, 2):
+            objective = problem(arguments.problem, Path(tempfile.mkdtemp(dir=folder)), threads=count)
+            _pin(sorted(everywhere)[:count])
+            with LocalThreads() as local:
+                spread = SpreadObjective(objective, local)
+                began = time.perf_counter()
+                run_many(spread, settings, at_once=local.at_once)
+                spent["threads"][count].append(time.perf_counter() - began)
+            _pin(everywhere)
+    out = {}
+    for way, times in spent.items():
+        one, two = np.array(times[1]), np.array(times[2])
+        out |= {f"{way}: one core [s]": one.tolist(), f"{way}: two cores [s]": two.tolist()}
+        out[f"{way}: efficiency"] = float(np.median(one / (2 * two)))
     # What other work on the machine took of the cores, a ratio of wall times cannot tell from idling.
-    out["processes: cores got, one"], out["processes: cores got, two"] = busy[1], busy[2]
+    out["processes: cores got, one"], out["processes: cores got, two"] = got[1], got[2]
     print(out, f"load {os.getloadavg()}")
     return out
 
@@ -410,6 +409,7 @@ def main():
     parser.add_argument("--first-seed", type=int, default=1)
     parser.add_argument("--algorithms", type=lambda text: text.split(","), default=DEFAULT.split(","))
     parser.add_argument("--generations", type=int, default=8, help="of part workers")
+    parser.add_argument("--pairs", type=int, default=3, help="of part workers")
     parser.add_argument("--shared-breeding", action="store_true")
     parser.add_argument("--json", type=Path, help="where the numbers go")
     parser.add_argument("--from", dest="sources", type=Path, nargs="+", help="of part table: such numbers")
