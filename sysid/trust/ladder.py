@@ -1,13 +1,21 @@
-"""What is missing in a model: declared terms added to a fit, judged on trials left out.
+"""What is missing in a model: declared terms added to a fit, judged on its noise and on trials left out.
 
-Every rung frees the parameters of a term, walks downhill from the fit's optimum, and is fitted again without
-each trial in turn, or each part of one (`Problem.pieces`). A term is kept where it predicts the trials left
-out better than the rung below by more than chance. Simpler models of a kind are judged alike, the fit's model
-as what it adds to each. A trial's gain is the logarithm of the factor by which its residual over noise falls,
-root mean square over its channels: in NRMSE velocities, which are mostly noise, hide what a term does to the
-positions. If a term buys nothing, every gain may as well have the other sign: the chance is the share of all
-sign changes under which the best of the terms looked at gains as much on average (max-statistic, Westfall &
-Young 1993).
+Each term is added alone. Terms hide one another, so that no order of adding them is safe; those to keep are
+found from above: all are fitted together, and the least certain one is taken away until every one that is
+left is needed. A term is needed where
+
+* its value differs from none by more than chance: a Wald test with the covariance of
+  `sysid.trust.linearized`, with misfit as in `sysid.trust.misfit`, times the number of terms looked at
+  (Bonferroni), and
+* with it the trials left out are predicted better on average.
+
+All kept terms together must also predict the trials left out better than the fit's model by more than
+chance. To leave out is to fit again without each trial in turn, or each part of one (`Problem.pieces`). A
+trial's gain is the logarithm of the factor by which its residual over noise falls, root mean square over its
+channels: in NRMSE velocities, which are mostly noise, hide what a term does to the positions. If a term buys
+nothing, every gain may as well have the other sign: the chance is the share of all sign changes under which
+the best of the terms looked at gains as much on average (max-statistic, Westfall & Young 1993). Simpler
+models of a kind are judged so, the fit's model as what it adds to each.
 """
 
 from __future__ import annotations
@@ -16,13 +24,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from sysid.errors import FitError
+from sysid.fit.adequacy import EXPLAINED_BY, adequacy
 from sysid.fit.least_squares import Fronts, MeanNrmse, descend, drive
 from sysid.fit.problem import Problem, Term
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
+from sysid.trust.assessment import linearize
 from sysid.trust.least_squares import solve
+from sysid.trust.misfit import widened
 from sysid.trust.problem import nrmse_of, scales
 from sysid.types import BoolArray, FloatArray
 
@@ -32,8 +44,6 @@ CHANCE, LEAST_GAIN = 0.05, 0.01
 FEWEST = 5
 # Sign changes that are looked at, at most.
 _CHANGES = 4096
-# Terms that are kept, at most.
-MOST = 4
 # Where a term's walks begin, from its value in the paper's model on [unit cube]; the first cannot end worse.
 _STARTS = (0.0, -0.15, 0.05, 0.3)
 # Further starts of a simpler model.
@@ -62,8 +72,10 @@ class TermFit:
     misfit : (T,) array
         The same, root mean square over the channels [1].
     gain, chance : float
-        Mean gain over the rung below, and the probability that it is chance [1]; NaN of the base. Of a
-        simpler model: what the base gains over it.
+        Mean gain over the rung below, and the probability that it, or the value of a term among others, is
+        chance [1]; NaN of the base. Of a simpler model: what the base gains over it.
+    kept : bool
+        Whether the last term is among those to keep. Of a simpler model: whether what it lacks is needed.
     """
 
     terms: tuple[Term, ...]
@@ -75,11 +87,7 @@ class TermFit:
     misfit: FloatArray
     gain: float = np.nan
     chance: float = np.nan
-
-    @property
-    def kept(self) -> bool:
-        """Whether the last term is worth its place."""
-        return self.chance < CHANCE and self.gain > LEAST_GAIN
+    kept: bool = False
 
     @property
     def values(self) -> dict[str, float]:
@@ -91,7 +99,10 @@ class TermFit:
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """The base, each term alone, the best ones together, and simpler models."""
+    """The base, each term alone, those to keep together, the most certain first, and simpler models.
+
+    Where none is to be kept, `together` is the one that gains most.
+    """
 
     base: TermFit
     alone: tuple[TermFit, ...]
@@ -101,9 +112,8 @@ class Ladder:
 
     @property
     def best(self) -> TermFit:
-        """The highest rung that is worth its place; the base where no term is."""
-        kept = [rung for rung in self.together if rung.kept]
-        return kept[-1] if kept else self.base
+        """The rung with all terms to keep; the base where no term is."""
+        return self.together[-1] if self.together[-1].kept else self.base
 
 
 def freed(problem: Problem, term: Term) -> Problem:
@@ -141,24 +151,20 @@ class Climber:
         self._problem, self._start = problem, start
 
     def climb(self, terms: Sequence[Term], simpler: Sequence[tuple[str, Problem]] = ()) -> Ladder:
-        """Return the base, each term alone, the best ones together, and simpler models by title."""
+        """Return the base, each term alone, those to keep together, and simpler models by title."""
         base = self._left_out(self._fitted((), self._problem, self._start[None]))
         alone = []
         for term in terms:
             self._say(f"{term.title}: fitted, and fitted without each trial")
-            alone.append(self._left_out(self._with(base, term)))
+            alone.append(self._left_out(self._alone(base, term)))
         alone = _judged(alone, base)
-        together = [max(alone, key=lambda rung: rung.gain)]
-        while together[-1].kept and len(together) < MOST:
-            below = together[-1]
-            others = [term for term in terms if term not in below.terms]
-            if not others:
-                break
-            self._say(f"{' and '.join(term.title for term in below.terms)}: which term comes next?")
-            best = min((self._with(below, term) for term in others), key=lambda rung: rung.nrmse)
-            together += _judged([self._left_out(best)], below)
+        self._say(f"all {len(terms)} terms fitted together, and again without each that is not needed")
+        together = self._together(base, alone)
+        keep = together[-1].terms if together else ()
+        alone = [replace(rung, kept=rung.terms[0] in keep) for rung in alone]
         less = tuple(self._less(base, title, problem) for title, problem in simpler)
-        return Ladder(base, tuple(alone), tuple(together), less, self.evaluations)
+        most = max(alone, key=lambda rung: rung.gain)
+        return Ladder(base, tuple(alone), tuple(together or [most]), less, self.evaluations)
 
     def _less(self, base: TermFit, title: str, problem: Problem) -> TermFit:
         """Return a simpler model with what the base gains over it."""
@@ -166,19 +172,72 @@ class Climber:
         starts = starts_near(problem.space, base.values)
         rung = self._left_out(self._fitted((Term(title, ()),), problem, starts))
         over = _judged([base], rung)[0]
-        return replace(rung, gain=over.gain, chance=over.chance)
+        needed = over.chance < CHANCE and over.gain > LEAST_GAIN
+        return replace(rung, gain=over.gain, chance=over.chance, kept=needed)
 
-    def _with(self, below: TermFit, term: Term) -> TermFit:
-        problem = freed(below.problem, term)
-        space = problem.space
-        known = np.array(
-            [{**space.fixed, **below.values, **below.problem.space.fixed}[name] for name in space.names]
-        )
-        at = np.clip(space.encode(known), 0.0, 1.0)
-        new = [i for i, name in enumerate(space.names) if name in term.parameters]
-        starts = np.repeat(at[None], len(_STARTS), axis=0)
+    def _alone(self, base: TermFit, term: Term) -> TermFit:
+        problem = freed(self._problem, term)
+        new = [i for i, name in enumerate(problem.space.names) if name in term.parameters]
+        starts = np.repeat(self._point(problem, base.values)[None], len(_STARTS), axis=0)
         starts[:, new] = np.clip(starts[:, new] + np.array(_STARTS)[:, None], 0.0, 1.0)
-        return self._fitted((*below.terms, term), problem, np.unique(starts, axis=0))
+        return self._fitted((term,), problem, np.unique(starts, axis=0))
+
+    def _together(self, base: TermFit, alone: Sequence[TermFit]) -> list[TermFit]:
+        """Return the terms to keep, one more on each rung, the most certain first; none if chance does it."""
+        terms = tuple(rung.terms[0] for rung in alone)
+        problem = self._problem
+        for term in terms:
+            problem = freed(problem, term)
+        starts = np.array([self._point(problem, rung.values) for rung in (base, *alone)])
+        rung = self._fitted(terms, problem, np.unique(starts, axis=0))
+        while rung.terms:
+            rung, chances = self._by_certainty(rung, len(terms))
+            below = self._without_last(rung)
+            if chances[-1] < CHANCE:
+                rung, below = self._left_out(rung), self._left_out(below)
+                if _gains(rung, below).mean() > LEAST_GAIN:
+                    break
+            rung = below
+        if not rung.terms or _judged([rung], base)[0].chance >= CHANCE:
+            return []
+        rungs = [rung]
+        while len(rungs[0].terms) > 1:
+            rungs.insert(0, self._left_out(self._without_last(rungs[0])))
+        return [
+            replace(rung, gain=float(_gains(rung, below).mean()), chance=chance, kept=True)
+            for rung, below, chance in zip(rungs, [base, *rungs], chances, strict=False)
+        ]
+
+    def _by_certainty(self, rung: TermFit, looked_at: int) -> tuple[TermFit, list[float]]:
+        """Sort a rung's terms, the most certain first; return the chance of each that its value is none."""
+        linear = linearize(rung.problem, rung.point)
+        space = rung.problem.space
+        rung = replace(rung, point=linear.point)
+        if adequacy(rung.problem, space.full(linear.point[None])[0]).verdict != EXPLAINED_BY:
+            linear = widened(rung.problem, linear, np.zeros((0, len(linear.point))))
+        wald, chances = [], []
+        for term in rung.terms:
+            of = [space.names.index(name) for name in term.parameters]
+            none = {name: self._problem.space.fixed[name] for name in term.parameters}
+            way = (linear.point - self._point(rung.problem, {**rung.values, **none}))[of]
+            inverse = np.linalg.pinv(linear.information.covariance[np.ix_(of, of)], hermitian=True)
+            square = float(way @ inverse @ way)
+            wald.append(square / len(of))
+            chances.append(min(1.0, looked_at * float(chi2.sf(square, len(of)))))
+        order = np.argsort(wald)[::-1]
+        return replace(rung, terms=tuple(rung.terms[i] for i in order)), [chances[i] for i in order]
+
+    def _without_last(self, rung: TermFit) -> TermFit:
+        """Return a rung fitted without its last term, from where it is."""
+        terms, problem = rung.terms[:-1], self._problem
+        for term in terms:
+            problem = freed(problem, term)
+        return self._fitted(terms, problem, self._point(problem, rung.values)[None])
+
+    def _point(self, problem: Problem, values: Mapping[str, float]) -> FloatArray:
+        """Return the point (n,) [unit cube] of values by name [SI]; a term that they lack is off."""
+        known = {**self._problem.space.fixed, **values}
+        return np.clip(problem.space.encode(np.array([known[n] for n in problem.space.names])), 0.0, 1.0)
 
     def _fitted(self, terms: tuple[Term, ...], problem: Problem, starts: FloatArray) -> TermFit:
         point, evaluations = downhill(problem, starts, problem.residuals)
@@ -222,9 +281,13 @@ def starts_near(space: SearchSpace, values: Mapping[str, float]) -> FloatArray:
     return np.clip(np.vstack([point, point + around]), 0.0, 1.0)
 
 
+def _gains(rung: TermFit, below: TermFit) -> FloatArray:
+    return np.asarray(np.log(below.misfit / rung.misfit))
+
+
 def _judged(rungs: Sequence[TermFit], below: TermFit) -> list[TermFit]:
     """Return rungs with their gains over the one below, and the chance of each, for all of them together."""
-    gains = np.log(below.misfit / np.array([rung.misfit for rung in rungs]))
+    gains = np.array([_gains(rung, below) for rung in rungs])
     count = gains.shape[1]
     if 2**count <= _CHANGES:
         signs = 1 - 2 * (np.arange(2**count)[:, None] >> np.arange(count) & 1)
