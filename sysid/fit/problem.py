@@ -22,7 +22,7 @@ from sysid.fit.objective import UNNAMED_CAUSE, Evaluation
 from sysid.fit.result import FitResult, RankedSets, TrialResult
 from sysid.fit.search import SearchSettings
 from sysid.fit.stopping import CutReason
-from sysid.journal import Finding, notice, tell
+from sysid.journal import Finding, Journal, notice, tell
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray, IntArray
@@ -322,9 +322,11 @@ class Problem(ABC):
         """Return further keys of the document of `sysid check`."""
         return {}
 
-    def seen(self) -> dict[str, Any]:
-        """Return the quality of the logs and `about`; notice what they contradict in the campaign."""
-        return {"quality": self.quality(), **self.about()}
+    def seen(self, journal: Journal) -> dict[str, Any]:
+        """Return the quality of the logs and `about`; notice what they contradict in the campaign, first."""
+        quality = self.quality()
+        journal.fold(len(self.trials))
+        return {"quality": quality, **self.about()}
 
     def advice(self, weak: Collection[str]) -> list[str]:
         """Return what to record for parameters that the trials do not determine well."""

@@ -118,7 +118,7 @@ def centre_of_mass(drops: tuple[PreparedDrop, ...], campaign: GearCampaign) -> d
             notice(
                 "centre-of-mass-off",
                 f"in free flight the body turns about a point {1000 * value:.1f} ± {1000 * sigma:.1f} mm off "
-                f"the stated centre of mass ({name}); check capture.centre_of_mass_offset",
+                f"the stated centre of mass ({name}); check capture.centre_of_mass_offset and the slope",
             )
     return {
         "down_slope": float(offset[0]), "down_slope_error": float(error[0]),

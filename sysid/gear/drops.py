@@ -18,6 +18,7 @@ from sysid.errors import LogError
 from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget
 from sysid.gear.parameters import parameters_on
+from sysid.gear.plausible import notice_contradictions, notice_slope
 from sysid.journal import note, notice
 from sysid.recording import Recording
 from sysid.trials.capture import (
@@ -31,13 +32,12 @@ from sysid.trials.capture import (
     spatial_motion,
 )
 from sysid.trials.fall import Feet, Flight, find_fall, fit_flight
+from sysid.trials.look import inspect_recording
 from sysid.types import FloatArray
 
 # A body leaves free fall visibly some 10 ms after the feet touch, because its legs yield first. Leaving it
 # `_EARLY` before or `_LATE` after the touchdown points to a wrong surface plane [s].
 _EARLY, _LATE, _YIELDING = 0.006, 0.035, 0.01
-# The slopes that board markers and campaign state may differ by this much without a warning.
-_SLOPE_DOUBT = np.radians(1.0)
 # Five samples of fall determine g to some 10 %; a fall shorter than this [s] says little about it.
 _TELLS_GRAVITY, _GRAVITY_DOUBT = 0.06, 0.15
 # The least number of samples in a window.
@@ -123,7 +123,13 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     drops = []
     for trial, log in logs:
         recording = read(log, trial.rigid_body, trial.log_options.model_dump_json())
-        drops.append(_Preparation(campaign, trial, recording, rest).drop())
+        try:
+            drops.append(_Preparation(campaign, trial, recording, rest).drop())
+        except LogError:
+            # What the campaign misstates is the likely cause, so it is named first.
+            seen = inspect_recording(recording, campaign.vehicle.gravity)
+            notice_contradictions(campaign, trial, seen.drop)
+            raise
     return tuple(drops)
 
 
@@ -240,13 +246,8 @@ class _Preparation:
             if measured is not None:
                 sentence = f"board markers lie {1000 * residual:.2f} mm rms off their plane"
                 self.notes.append(note("board-markers-off-plane", sentence))
-                if slope is not None and abs(slope - measured) > _SLOPE_DOUBT:
-                    self._notice(
-                        "slopes-differ",
-                        f"the board markers say {np.degrees(measured):.1f} deg, the campaign "
-                        f"{np.degrees(slope):.1f} deg; the campaign's slope is used",
-                        abs(slope - measured),
-                    )
+                if slope is not None:
+                    notice_slope(trial.name, slope, measured)
                 slope = measured if slope is None else slope
         if slope is None:
             raise LogError(f"trial {trial.name!r}: no slope; give it")
@@ -359,7 +360,7 @@ class _Preparation:
             self._notice(
                 "unlikely-gravity",
                 f"the fall shows {measured:.1f} m/s² instead of {gravity:.2f}; check the length unit, "
-                "capture.up and that nothing brakes the body",
+                "capture.up, the slope and that nothing brakes the body",
                 wrong,
             )
         late = self._leaves_free_fall() - self.touchdown
@@ -369,7 +370,7 @@ class _Preparation:
             self._notice(
                 "doubtful-surface",
                 f"the body leaves free fall {1000 * abs(late):.0f} ms {side} the feet should touch; the "
-                f"surface plane may lie about {1000 * off:.0f} mm too {level}",
+                f"surface plane may lie about {1000 * off:.0f} mm too {level}; check the slope and the plane",
                 abs(late),
             )
 

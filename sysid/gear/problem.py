@@ -473,12 +473,7 @@ class GearProblem(Problem):
         log = resolve_log(self.path, trial.log)
         recording = read_drop_log(campaign, log, trial.rigid_body, trial.log_options.model_dump_json())
         report = inspect_recording(recording, campaign.vehicle.gravity)
-        if report.drop is not None:
-            options = trial.log_options.rigid_body or campaign.capture.rigid_body
-            notice_contradictions(
-                campaign, drop.name, drop.slope, trial.down_slope or campaign.capture.down_slope,
-                trial.rigid_body or options or report.drop.body, report.drop,
-            )  # fmt: skip
+        notice_contradictions(campaign, trial, report.drop)
         window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
         tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
         stated = ("slope_deg", "release", "touchdown", "impact_speed", "notes")

@@ -151,13 +151,13 @@ def fit_flight(
     if lowest < 0:
         raise LogError(
             f"{where}: a foot is {-1000 * lowest:.0f} mm below the surface before the drop falls; "
-            "check the surface plane, capture.up, capture.down_slope and the feet"
+            "check the slope, the surface plane, capture.up, capture.down_slope and the feet"
         )
     contact = np.flatnonzero(after < 0)
     if not len(contact):
         raise LogError(
             f"{where}: no foot reaches the surface, the lowest stays {1000 * np.nanmin(after):.0f} mm above "
-            "it; check the surface plane, capture.up, capture.down_slope and the feet"
+            "it; check the slope, the surface plane, capture.up, capture.down_slope and the feet"
         )
     touchdown = float(motion.time[hold.stop + contact[0]])
     for _ in range(3):  # the samples that count depend on the touchdown, which they move by less than one

@@ -47,8 +47,7 @@ def check_campaign(
                 journal.add(finding)
             whole = kind.open(campaign, path, threads)
             # What the campaign misstates is the cause of what may fail below.
-            seen = whole.seen()
-            journal.fold(len(whole.trials))
+            seen = whole.seen(journal)
             problem = whole.fitted.exact
             noise = problem.correlation()
             drawn = drawn_outlooks(problem, noise)

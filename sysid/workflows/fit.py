@@ -121,8 +121,7 @@ def fit_campaign(
                 for finding in ignored:
                     journal.add(finding)
                 problem = model.open(campaign, path, options.threads)
-                problem.seen()
-                journal.fold(len(problem.trials))
+                problem.seen(journal)
                 model.begin(problem)
             journal.fold(len(problem.trials))
             fitted = problem.fitted

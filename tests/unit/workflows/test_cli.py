@@ -153,11 +153,13 @@ def test_a_fit_of_a_wrong_slope_names_the_cause_and_offers_what_mends_it(drops, 
     cause = "drop-4: the campaign states slope = 25.0 deg, the log shows 20.0 deg from markers"
     mass = "off the stated centre of mass"
     heard = [line for line in err.splitlines() if line.startswith("warning: ")]
-    assert mass in heard[0]
-    assert cause in heard[1]
+    assert cause in heard[0]
     folder = Path("fits") / "synthetic-lf"
     stated = json.loads((folder / "fit.json").read_text(encoding="utf-8"))["provenance"]["findings"]
-    assert [one["code"] for one in stated[:2]] == ["centre-of-mass-off", "contradicts-slope"]
+    codes = [one["code"] for one in stated]
+    assert codes[0] == "contradicts-slope"
+    assert "centre-of-mass-off" in codes
+    assert sum(mass in line for line in heard) == 1
     offered = out[out.index("next:") :]
     assert "sysid check CAMPAIGN" in offered
     assert f"sysid ladder {folder}" in offered
