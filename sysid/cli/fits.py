@@ -172,7 +172,7 @@ def ladder(
     campaign: FitCampaign = None,
     figure: Figure = None,
     adopt: Annotated[
-        Path | None, Flag("Write a campaign with the terms to keep to this file.", "--out")
+        Path | None, Flag("Write a campaign with the terms to keep to this file.", "--adopt", "--out")
     ] = None,
     threads: Threads = None,
     force: Force = False,
@@ -183,12 +183,12 @@ def ladder(
 
     Adds each declared term to the model, then the best ones together, and judges them on trials left out.
     """
-    from sysid.report.ladder import print_rungs
-    from sysid.workflows.ladder import climb_ladder
+    from sysid.workflows.ladder import climb_and_print
 
-    tell = unless(quiet or json)
-    document = climb_ladder(fit, campaign, adopt=adopt, force=force, threads=threads, say=tell)
-    print_rungs(document, json, figure, adopt)
+    climb_and_print(
+        fit, campaign, adopt=adopt, figure=figure, force=force, threads=threads, json=json,
+        say=unless(quiet or json),
+    )  # fmt: skip
 
 
 @command(app, "report", "sysid report fits/demo/gear-lf")

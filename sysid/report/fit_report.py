@@ -66,8 +66,9 @@ from sysid.report.html import (
     side_by_side,
     unfoldable,
 )
+from sysid.report.ladder import conclusion, figure_rungs, rungs_table
 from sysid.report.plots import Panel, interactive
-from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
+from sysid.report.set_tables import adequacy_table, ladder_table, mean_sigma_table, ranked_table, trial_table
 from sysid.report.traces import trial_view
 from sysid.report.trust_tables import narrow_table, validation_table, verdict_words
 from sysid.trust import documents
@@ -110,7 +111,7 @@ class FitReport:
     # Methods in the order of the page; two of them side by side in a wide window.
     sections: ClassVar[tuple[str | tuple[str, str], ...]] = (
         "parameters", "measured_against_simulated", ("trial_errors", "convergence"),
-        ("spread", "correlation"), "profiles", "filter_response", ("validation", "provenance"),
+        ("spread", "correlation"), "profiles", "ladder", "filter_response", ("validation", "provenance"),
     )  # fmt: skip
 
     # What a kind may add.
@@ -175,13 +176,19 @@ class FitReport:
         return documents.read_part(self.folder, documents.TRUST) if self.folder.is_dir() else None
 
     @cached_property
+    def climbed(self) -> dict[str, Any] | None:
+        """What terms on trial buy; None where `sysid ladder` has not been run for this fit."""
+        return documents.read_part(self.folder, documents.LADDER) if self.folder.is_dir() else None
+
+    @cached_property
     def validations(self) -> dict[str, dict[str, Any]]:
         """Validations and the cross-validation of this fit, by name."""
         out = {}
         for part in documents.parts(self.folder) if self.folder.is_dir() else ():
-            document = None if part == documents.TRUST else documents.read_part(self.folder, part)
-            if document is not None:
-                cross = part == documents.CROSS_VALIDATION
+            cross = part == documents.CROSS_VALIDATION
+            if not cross and not part.startswith(documents.VALIDATION):
+                continue
+            if (document := documents.read_part(self.folder, part)) is not None:
                 out["leave-one-trial-out" if cross else part.removeprefix(documents.VALIDATION)] = document
         return out
 
@@ -471,6 +478,24 @@ class FitReport:
         return out
 
     @titled(
+        "What the model lacks",
+        "Further physics, and simpler models, judged on what the fit was made without.",
+    )
+    def ladder(self) -> Html:
+        """Return what each term on trial buys; else the steps of the model that the fit itself climbed."""
+        if self.climbed is not None:
+            what = "misfit over noise of every model on what was left out, and NRMSE of what was fitted"
+            drawn = picture(figure_rungs(self.climbed), what, "What each term buys.")
+            return (
+                bullets(conclusion(self.climbed))
+                + markup_table(rungs_table(self.climbed, self.trust))
+                + drawn
+            )
+        sets = self.fit.parameter_sets()
+        steps = markup_table(ladder_table(sets)) if "ladder" in sets.settings else NOTHING
+        return steps + self.missing("further physics", "sysid ladder")
+
+    @titled(
         "Filter",
         "What was measured, over frequency, and what the filter leaves of it. Signal that the filter takes "
         "away is not compared.",
@@ -520,6 +545,8 @@ class FitReport:
             out[file_name(f"profile-nrmse-{record.name}")] = figure
         if self.trust is not None:
             out["correlation"] = figure_correlation(self.trust)
+        if self.climbed is not None:
+            out["ladder"] = figure_rungs(self.climbed)
         for row, *curve in self.likelihood_profiles:
             out[file_name(f"profile-{row['name']}")] = figure_profile(row, *curve)
         return out

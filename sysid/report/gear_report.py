@@ -39,7 +39,7 @@ class GearReport(FitReport):
     )
     sections = (
         "parameters", ("measured_against_simulated", "animation"), ("trial_errors", "convergence"),
-        ("spread", "correlation"), "profiles", ("validation", "diagram"), "filter_response",
+        ("spread", "correlation"), "profiles", "ladder", ("validation", "diagram"), "filter_response",
         ("modes", "provenance"),
     )  # fmt: skip
 

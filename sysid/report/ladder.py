@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,87 +10,143 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sysid.documents import rounded
+from sysid.fit.adequacy import EXPLAINED_BY
+from sysid.parameters import with_unit
 from sysid.report.drawing import panel, save_figure
 from sysid.report.fold import print_lines, print_result, print_table
-from sysid.report.table import Cell, Table, listed, number
+from sysid.report.table import Cell, Table, number, numbers, percent, table, words
 
 Row = Mapping[str, Any]
+# Least move of a parameter that is shown [1], and how many are.
+_LEAST, _MOST = 0.01, 4
 
 
 def _rows(document: Row) -> list[tuple[str, Row]]:
-    """Return every rung with its words: simpler models, the base, each term alone, then the best together."""
+    """Return every rung with its words: simpler models, the base, each term alone, then those kept."""
     rows = [(rung["terms"][0], rung) for rung in document["simpler"]]
     rows.append(("as fitted", document["base"]))
-    rows += [
-        (rung["terms"][0], rung) for rung in sorted(document["alone"], key=lambda r: np.mean(r["left_out"]))
-    ]
-    return rows + [(f"… and {rung['terms'][-1]}", rung) for rung in document["together"][1:]]
+    rows += [(rung["terms"][0], rung) for rung in sorted(document["alone"], key=_misfit)]
+    kept = [rung for rung in document["together"] if rung["kept"]]
+    return rows + [(f"{'… and' if k else 'kept:'} {rung['terms'][-1]}", rung) for k, rung in enumerate(kept)]
 
 
-def _changes(document: Row, rung: Row) -> str:
-    """Return the values of the terms and how far the other parameters go, the two farthest."""
+def _misfit(rung: Row) -> float:
+    """Return the mean misfit of what was left out, over noise [1]; a gain is the share that it falls."""
+    return float(np.exp(np.mean(np.log(rung["misfit"]))))
+
+
+def _gain(rung: Row) -> float:
+    return float(-np.expm1(-rung["gain"]))
+
+
+def _left_out(document: Row, count: str = "each") -> str:
+    """Return what was left out in turn, as in ``each trial`` or ``9 parts of trials``."""
+    several = "" if count == "each" else "s"
+    if document["parts"]:
+        return f"{count} part{several} of {'trials' if several else 'a trial'}"
+    return f"{count} trial{several}"
+
+
+def _changes(document: Row, rung: Row, lost: set[str]) -> str:
+    """Return the values of the terms and how far the parameters go that are not `lost`."""
     symbols, values, before = document["symbols"], rung["values"], document["base"]["values"]
-    new = [f"{symbols[name]} {rounded(value, 3)}" for name, value in values.items() if name not in before]
-    moved = {name: values[name] / value - 1 for name, value in before.items() if value and name in values}
-    far = sorted(moved, key=lambda name: -abs(moved[name]))[:2]
-    return ", ".join([*new, *(f"{symbols[name]} {100 * moved[name]:+.0f} %" for name in far)])
+    new = [
+        f"{symbols[name]} {with_unit(rounded(value, 3), document['units'][name])}"
+        for name, value in values.items()
+        if name not in before
+    ]
+    # A name that ends in brackets is a number of one trial alone.
+    known = [name for name in before if before[name] and name in values and name not in lost]
+    moved = {name: values[name] / before[name] - 1 for name in known if not name.endswith("]")}
+    far = sorted((name for name in moved if abs(moved[name]) >= _LEAST), key=lambda name: -abs(moved[name]))
+    return ", ".join([*new, *(f"{symbols[name]} {100 * moved[name]:+.0f} %" for name in far[:_MOST])])
 
 
-def _kept(document: Row, rung: Row) -> Cell:
-    """Return whether a term is kept, or of a simpler model, whether what it lacks is needed."""
-    if rung in document["simpler"]:
-        return Cell("too simple" if rung["kept"] else "as good", "" if rung["kept"] else "doubtful")
-    return Cell("yes", "good") if rung["kept"] else Cell("no")
+def rungs_table(document: Row, trust: Row | None = None) -> Table:
+    """Return what each term buys on what was left out, and how the parameters move.
 
-
-def rungs_table(document: Row) -> Table:
-    """Return what each term buys: NRMSE over noise, fitted and left out, and how the parameters move."""
+    Parameters that `trust`, the intervals of the fit, calls not identifiable may move as they like.
+    """
     base = document["base"]
-    body = [
+    lost = {row["name"] for row in (trust or {}).get("parameters", ()) if row["verdict"].startswith("not_")}
+
+    def kept(row: tuple[str, Row]) -> Cell:
+        rung = row[1]
+        if rung is base:
+            return Cell("")
+        if rung in document["simpler"]:
+            return Cell("too simple" if rung["kept"] else "as good", "" if rung["kept"] else "doubtful")
+        return Cell("yes", "good") if rung["kept"] else Cell("no")
+
+    chances = ["of a term alone, that its gain is luck"]
+    if document["keep"]:
+        chances.append("of a kept one, that its value beside those above is none but for luck")
+    simpler = "; of a simpler model: of the fit's model over it" if document["simpler"] else ""
+    return table(
+        "What is missing in the model",
+        _rows(document),
         (
-            words, number(rung["over_noise"], 3), number(float(np.mean(rung["left_out"])), 3),
-            "" if rung is base else number(rung["chance"], 2),
-            "" if rung is base else _kept(document, rung),
-            "" if rung is base else _changes(document, rung),
-        )
-        for words, rung in _rows(document)
-    ]  # fmt: skip
-    heads = ("term", "over noise", "left out", "chance", "keep", "values, moves")
-    return listed(
-        "What is missing in the model", body, heads,
-        "NRMSE over noise: fitted, and left out, each trial as the fit of the others predicts it; chance: "
-        "that the gain there is luck, for all terms looked at; moves: of the parameters that move most",
+            words("term", lambda row: row[0]),
+            numbers("NRMSE, fitted", lambda row: number(row[1]["over_noise"], 3)),
+            numbers("misfit, left out", lambda row: number(_misfit(row[1]), 3)),
+            numbers("gain", lambda row: percent(_gain(row[1]), 1), "%"),
+            numbers("chance", lambda row: number(row[1]["chance"], 2)),
+            words("keep", kept),
+            words("values, moves", lambda row: "" if row[1] is base else _changes(document, row[1], lost)),
+        ),
+        "NRMSE, misfit: over noise; misfit: root mean square over the channels, of "
+        f"{_left_out(document)} as the fit of the others predicts it, and mean over all; gain: the share of "
+        f"it that goes; chance: {'; '.join(chances)}, for all terms looked at{simpler}; moves: of "
+        "identifiable parameters, 1 % and more",
     )  # fmt: skip
 
 
 def figure_rungs(document: Row) -> Figure:
-    """Draw NRMSE over noise of every rung: fitted, and each trial as the fit of the others predicts it."""
+    """Draw misfit over noise of what was left out, each as the fit of the others predicts it, and NRMSE."""
     rows = _rows(document)
     figure, axes = panel(0.8 + 0.32 * len(rows))
     place = np.arange(len(rows))[::-1]
     for y, (_, rung) in zip(place, rows, strict=True):
-        axes.plot(rung["left_out"], np.full(len(rung["left_out"]), y), "|", color="0.6", markersize=8)
-        axes.plot(np.mean(rung["left_out"]), y, "o", color="#0072B2")
+        axes.plot(rung["misfit"], np.full(len(rung["misfit"]), y), "|", color="0.6", markersize=8)
+        axes.plot(_misfit(rung), y, "o", color="#0072B2")
         axes.plot(rung["over_noise"], y, "o", color="#D55E00", fillstyle="none")
     axes.axvline(1.0, color="0.3", linewidth=0.8, linestyle=":")
     axes.set_yticks(place, [words for words, _ in rows])
-    axes.set_xlabel("NRMSE over noise: fitted (ring), left out (dot: mean, bars: trials)")
+    axes.set_xlabel(
+        f"over noise: misfit of {_left_out(document)} left out\n(bars; dot: mean), NRMSE fitted (ring)"
+    )
     return figure
 
 
-def print_rungs(document: Row, json: bool, picture: Path | None, campaign: Path | None) -> None:
-    """Print a ladder and what to keep; draw it where a picture is asked for."""
+def conclusion(document: Row) -> list[str]:
+    """Return which terms to keep, or why none, and what the model still lacks: one thought each."""
+    keep, judged = document["keep"], document["adequacy"]
+    lacks = f"the model still lacks something: {judged['sentence']}"
+    lacking = [] if judged["verdict"] == EXPLAINED_BY else [lacks]
+    if keep:
+        return [f"keep {' and '.join(keep)}", *lacking]
+    if not lacking:
+        return [
+            "no term predicts what was left out better than chance, and noise explains the fit: keep the "
+            "model"
+        ]
+    nearest = document["together"][0]
+    return [
+        f"{_left_out(document, str(len(document['trials'])))} cannot show which term is missing; the nearest "
+        f"is {nearest['terms'][-1]}, with a chance of {number(nearest['chance'], 2)} and a gain of "
+        f"{percent(_gain(nearest), 1)} %",
+        *lacking,
+        "fit more trials, unlike these, and climb again",
+    ]
+
+
+def print_rungs(
+    document: Row, trust: Row | None, lines: Sequence[str], json: bool, picture: Path | None
+) -> None:
+    """Print a ladder, what to conclude, and further lines; draw it where a picture is asked for."""
+    if not print_result(document, json):
+        print_table(rungs_table(document, trust))
+        print_lines([*conclusion(document), *lines])
+        print_lines([f"{document['evaluations']} simulations in {document['seconds']:.0f} s"])
     if picture is not None:
         save_figure(figure_rungs(document), picture)
-    if print_result(document, json):
-        return
-    print_table(rungs_table(document))
-    keep = " and ".join(document["keep"])
-    lines = [
-        f"keep {keep}" if keep else "no term predicts the trials left out better than chance: keep the model"
-    ]
-    if keep and campaign is None:
-        lines.append("--out writes a campaign with these terms")
-    if campaign is not None:
-        lines.append(f"wrote {campaign}; fit it next")
-    print_lines([*lines, f"{document['evaluations']} simulations in {document['seconds']:.0f} s"])

@@ -17,7 +17,6 @@ from sysid.report.html import (
     Html,
     columns,
     definitions,
-    markup_table,
     paragraph,
     picture,
     side_by_side,
@@ -25,7 +24,6 @@ from sysid.report.html import (
 from sysid.report.motor_figures import figure_panel, figure_thrust, reversal_commands
 from sysid.report.motor_traces import command_panel, curve_views, reversal_view, spike_view
 from sysid.report.plots import Curve, Panel, View, interactive
-from sysid.report.set_tables import ladder_table
 from sysid.report.sketches import motor_sketch
 from sysid.types import FloatArray
 
@@ -164,17 +162,6 @@ class MotorReport(FitReport):
             for kind, row in stated.items()
         ]
         return out + definitions([*rows, ("best set", f"{inertia:.4g} kg·m²")], "rotor inertia")
-
-    @titled(
-        "Steps of the model",
-        "What each part of the model buys on trials that were fitted and on trials that were held back.",
-    )
-    def ladder(self) -> Html:
-        """Return what each step of the model buys."""
-        sets = self.fit.parameter_sets()
-        if "ladder" not in sets.settings:
-            return paragraph("No ladder of simpler models was climbed in this fit.", "note")
-        return markup_table(ladder_table(sets))
 
     def trial_figures(self, fit: FitResult, trial: TrialResult) -> dict[str, Figure]:
         """Return the figures of one trial, with its thrust and reversals."""

@@ -235,8 +235,10 @@ class LadderRung(Part):
     """A fit with some terms: their titles, the value of every free parameter, and how well it predicts.
 
     ``over_noise`` is NRMSE over what noise alone costs [1], ``left_out`` the same of each trial as the fit of
-    the others predicts it. ``gain`` is the mean logarithm of what the last term takes off ``left_out``,
-    ``chance`` the probability that it does so by chance; NaN of the base. ``kept``: worth its place.
+    the others predicts it, ``misfit`` its residual over noise there, root mean square over the channels, by
+    which terms are judged. ``gain`` is the mean logarithm of what the last term takes off ``misfit``;
+    ``chance`` the probability that it is luck, or of a term that is kept beside others that its value is none
+    (Wald), for all terms looked at; NaN of the base. ``kept``: the last term is among those to keep.
     """
 
     terms: list[str]
@@ -244,22 +246,27 @@ class LadderRung(Part):
     nrmse: float
     over_noise: float
     left_out: list[float]
+    misfit: list[float]
     gain: float
     chance: float
     kept: bool
 
 
 class LadderDocument(TrustPart):
-    """``ladder.json``: the fit, each term of its kind added alone, then the best ones together.
+    """``ladder.json``: the fit, each term of its kind added alone, then those to keep together.
 
     ``simpler`` are models that lack something, by their title in ``terms``: their ``gain`` and ``chance`` are
     of the fit's model over them, ``kept`` says that what they lack is needed. ``trials`` names what was left
-    out in turn: the trials, or parts of them. ``symbols`` are of all parameters that a rung has, ``keep`` the
-    titles and ``parameters`` the names of the terms that are worth their place.
+    out in turn: the trials, or ``parts`` of them. ``symbols`` and ``units`` are of all parameters that a rung
+    has, ``keep`` the titles and ``parameters`` the names of the terms to keep; ``together`` is the nearest
+    one where there is none. ``adequacy`` is of the model with what to keep.
     """
 
     trials: list[str]
+    parts: bool
     symbols: dict[str, str]
+    units: dict[str, str]
+    adequacy: Adequacy
     base: LadderRung
     alone: list[LadderRung]
     together: list[LadderRung]

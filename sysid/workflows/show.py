@@ -12,6 +12,7 @@ from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.parameter_sets import ADEQUACY, INTERVALS, ParameterSets
 from sysid.report.fold import print_lines, print_table
+from sysid.report.ladder import conclusion
 from sysid.report.set_tables import (
     adequacy_table,
     ladder_table,
@@ -19,7 +20,7 @@ from sysid.report.set_tables import (
     ranked_table,
     trial_table,
 )
-from sysid.trust.documents import with_intervals
+from sysid.trust.documents import LADDER, read_part, with_intervals
 
 
 def load_sets(path: str | Path) -> ParameterSets:
@@ -40,6 +41,10 @@ def print_sets(source: str | Path, json: bool) -> None:
         print(sets.document().text(), end="")
         return
     _print_tables(sets)
+    path = Path(source)
+    folder = fit_folder(path) if path.is_dir() or path.name == "fit.h5" else None
+    if folder is not None and (climbed := read_part(folder, LADDER)):
+        print_lines([f"ladder: {conclusion(climbed)[0]}; all of it: sysid report {folder}"])
 
 
 def stopped_by_user(result: FitResult) -> bool:

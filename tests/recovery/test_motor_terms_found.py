@@ -8,11 +8,10 @@ import pytest
 from fakes.motor_bench import bench_of, problem_of
 from sysid.fit.adequacy import adequacy
 from sysid.motor.static_curves import NoLoadTie
-from sysid.report.ladder import print_rungs
 from sysid.synthetic import synthesize_motor
 from sysid.synthetic.motor import TRIALS
+from sysid.trust.documents import LADDER, read_part
 from sysid.workflows.fit import fit_campaign
-from sysid.workflows.ladder import climb_ladder
 from sysid.workflows.options import FitOptions
 
 QUICK = {"runs": 1, "population": 24, "max_generations": 4, "quiet": True, "check": False, "trust": False}
@@ -28,12 +27,15 @@ def sagging(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_supply_that_sags_is_not_explained_and_then_found(sagging, tmp_path, capsys):
+def test_a_supply_that_sags_is_not_explained_and_then_found(sagging, tmp_path, run):
     path, (result, folder) = sagging
     judged = result.provenance["adequacy"]
     assert judged["verdict"] == "not_explained"
     target = path.with_name("with-terms.toml")
-    document = climb_ladder(folder, adopt=target)
+    picture = tmp_path / "rungs.png"
+    code, shown, err = run("ladder", folder, "--adopt", target, "--figure", picture, "--quiet")
+    assert (code, picture.is_file()) == (0, True), err
+    document = read_part(folder, LADDER)
     assert document["keep"] == ["supply sags"]
     kept = document["together"][0]["values"]
     # A bench of 6 s tells R and R_s to some percent.
@@ -45,8 +47,7 @@ def test_a_supply_that_sags_is_not_explained_and_then_found(sagging, tmp_path, c
     assert {rung["terms"][0]: rung["kept"] for rung in document["simpler"]} == {
         "first-order lag": True, "without L": True,
     }  # fmt: skip
-    print_rungs(document, False, tmp_path / "rungs.png", target)
-    shown = capsys.readouterr().out
+    assert "each part of a trial as" in shown.replace("\n", " ")
     assert "too simple" in shown
     assert "keep supply sags" in shown
     assert "supply_resistance" in tomllib.loads(target.read_text("utf-8"))["parameters"]["free"]

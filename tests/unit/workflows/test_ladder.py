@@ -2,17 +2,24 @@
 
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from fakes.fits import MOTOR, made_fit
 from fakes.lag_kind import TRUE, write_lag
+from fakes.places import SAMPLES
+from fakes.reports import SHORT
 from sysid.errors import FitError
-from sysid.report.ladder import figure_rungs, print_rungs
-from sysid.trust.documents import LADDER, read_part
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY
+from sysid.fit.store import write_fit
+from sysid.report.ladder import conclusion, figure_rungs, rungs_table
+from sysid.trust.documents import LADDER, read_part, write_part
 from sysid.workflows.fit import fit_campaign
-from sysid.workflows.ladder import climb_ladder, with_free
+from sysid.workflows.ladder import with_free
 from sysid.workflows.options import FitOptions
+from sysid.workflows.report import open_report
 
 NAMES = tuple(f"step-{k}" for k in range(7))
 
@@ -28,45 +35,76 @@ def lag(tmp_path_factory):
     return fitted(tmp_path_factory.mktemp("ladder"), names=NAMES, offset=0.2)
 
 
-def test_the_missing_term_is_kept_and_adopted(lag, capsys, tmp_path):
+def test_the_missing_term_is_kept_and_adopted(lag, run, tmp_path):
     path, folder = lag
-    target = path.parent / "with-terms.toml"
-    document = climb_ladder(folder, adopt=target)
+    target, picture = path.parent / "with-terms.toml", tmp_path / "rungs.svg"
+    code, out, err = run("ladder", folder, "--adopt", target, "--figure", picture, "--quiet")
+    assert code == 0, err
+    document = read_part(folder, LADDER)
     assert document["keep"] == ["speed at rest"]
     assert document["parameters"] == ["offset"]
     base, kept = document["base"], document["alone"][0]
     # The logs state no noise, so a ratio counts in units of the assumed one.
     assert base["over_noise"] > 1.5 * kept["over_noise"]
     assert np.mean(kept["left_out"]) == pytest.approx(kept["over_noise"], rel=0.02)
+    # Of one channel the misfit is the NRMSE; the gain is what is seen to go.
+    np.testing.assert_allclose(kept["misfit"], kept["left_out"], rtol=1e-9)
+    assert kept["gain"] == pytest.approx(np.mean(np.log(base["misfit"]) - np.log(kept["misfit"])))
     assert kept["values"]["offset"] == pytest.approx(0.2, abs=0.01)
     assert kept["values"]["time_constant"] == pytest.approx(TRUE["time_constant"], rel=0.02)
-    assert read_part(folder, LADDER)["keep"] == document["keep"]
+    # What is asked for next must not take the place of the fit that the ladder began with.
+    assert "keep speed at rest" in out
+    again = folder.with_name("fit-with-terms")
+    assert f"sysid fit-lag {target} --out {again}" in out.replace("\n", "")
     free = tomllib.loads(target.read_text("utf-8"))["parameters"]["free"]
     assert free == ["gain", "time_constant", "offset"]
-    again, _ = fit_campaign(target, FitOptions(out=tmp_path / "fit", quiet=True, trust=False))
-    assert again.parameter_sets().set_values()["offset"] == pytest.approx(0.2, abs=0.01)
-    print_rungs(document, False, tmp_path / "rungs.png", target)
-    assert "keep speed at rest" in capsys.readouterr().out
+    with_term, _ = fit_campaign(target, FitOptions(out=again, quiet=True, trust=False))
+    assert with_term.parameter_sets().set_values()["offset"] == pytest.approx(0.2, abs=0.01)
     labels = figure_rungs(document).axes[0].get_yticklabels()
-    assert [label.get_text() for label in labels] == ["as fitted", "speed at rest"]
+    assert [label.get_text() for label in labels] == ["as fitted", "speed at rest", "kept: speed at rest"]
+    assert picture.stat().st_size > 1000
+    # It can be read again without computing it again.
+    assert "ladder: keep speed at rest" in run("show", folder)[1]
+    assert run("report", folder)[0] == 0
+    assert "y_0 0.2" in (folder / "report.html").read_text("utf-8")
 
 
-def test_a_right_model_is_kept_as_it_is(tmp_path):
+def test_a_right_model_is_kept_as_it_is(tmp_path, run):
     path, folder = fitted(tmp_path, names=NAMES)
-    document = climb_ladder(folder)
+    code, out, err = run("ladder", folder, "--out", path.parent / "nothing.toml", "--quiet")
+    assert (code, err) == (0, "")
+    document = read_part(folder, LADDER)
     assert document["keep"] == []
     assert document["alone"][0]["chance"] > 0.05
-    with pytest.raises(FitError, match="no term is worth its place"):
-        climb_ladder(folder, adopt=path.parent / "nothing.toml")
+    assert "What is missing in the model" in out
+    assert "nothing.toml was not written: no term is kept" in out.replace("\n", " ")
     assert not (path.parent / "nothing.toml").exists()
 
 
-def test_refusals(lag, tmp_path, refused):
+def test_refusals(lag, tmp_path, refused, run):
     path, folder = lag
-    refused("write it to", "ladder", folder, "--out", tmp_path / "elsewhere.toml")
-    refused("exists", "ladder", folder, "--out", path)
+    refused("write it to", "ladder", folder, "--adopt", tmp_path / "elsewhere.toml")
+    refused("exists", "ladder", folder, "--adopt", path)
+    refused("unknown figure format '.gif'", "ladder", folder, "--figure", tmp_path / "a.gif")
+    refused("does not exist", "ladder", folder, "--figure", tmp_path / "none" / "a.png")
+    (tmp_path / "there.png").touch()
+    refused("exists", "ladder", folder, "--figure", tmp_path / "there.png")
     _, few = fitted(tmp_path, names=NAMES[:5])
     refused("needs 5 or more", "ladder", few)
+
+
+def test_a_campaign_that_cannot_be_edited_is_refused_after_all_is_printed(tmp_path, run):
+    path, folder = fitted(tmp_path, names=NAMES, offset=0.2)
+    text = path.read_text("utf-8")
+    path.write_text(text.replace("[fit]", 'parameters.free = ["gain", "time_constant"]\n[fit]'), "utf-8")
+    code, out, err = run("ladder", folder, "--adopt", tmp_path / "new.toml", "--quiet")
+    assert code == 2
+    assert "keep speed at rest" in out
+    assert 'free = ["gain", "time_constant", "offset"]' in err
+    assert not (tmp_path / "new.toml").exists()
+
+
+FREE = 'name = "a"\n[parameters]\nfree = [\n  "c", # one\n  "d",\n]\nbounds = {}\n[[trials]]\nname = "b"\n'
 
 
 @pytest.mark.parametrize(
@@ -74,7 +112,7 @@ def test_refusals(lag, tmp_path, refused):
     [
         'name = "a"\n[[trials]]\nname = "b"\n',
         'name = "a"\n[parameters]  # chosen\nfixed = { c = "1 s" }\n[[trials]]\nname = "b"\n',
-        'name = "a"\n[parameters]\nfree = [\n  "c", # one\n  "d",\n]\nbounds = {}\n[[trials]]\nname = "b"\n',
+        FREE,
     ],
 )
 def test_only_the_free_parameters_of_a_campaign_change(text):
@@ -82,3 +120,112 @@ def test_only_the_free_parameters_of_a_campaign_change(text):
     expected = tomllib.loads(text)
     expected.setdefault("parameters", {})["free"] = ["x", "y"]
     assert json.dumps(changed, sort_keys=True) == json.dumps(expected, sort_keys=True)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        FREE.replace("# one", "# one [1]"),
+        FREE.replace("[parameters]\n", '[other]\nfree = ["e"]\n[parameters]\n'),
+        '[ parameters ]\nfixed = { c = "1 s" }\n',
+        'parameters.free = ["c"]\n',
+        'parameters = { free = ["c"] }\n',
+        '["parameters"]\n"free" = ["c"]\n',
+    ],
+)
+def test_a_text_in_which_another_thing_would_change_is_refused_with_the_line_to_write(text):
+    tomllib.loads(text)
+    with pytest.raises(FitError, match=r'table \[parameters\] of the copy: free = \["x", "y"\]$'):
+        with_free(text, ["x", "y"])
+
+
+def ladder_of(parts=False, keep=("slide rubs dry",), verdict=NOT_BY):
+    """A ladder of two terms over a fit of one parameter, as if 7 trials had been left out."""
+
+    def rung(*terms, misfit, gain=np.nan, chance=np.nan, **values):
+        return {
+            "terms": list(terms), "values": {"leg_axial_stiffness": 6000.0, "foot_dx": 0.2, **values},
+            "nrmse": 0.1, "over_noise": 1.4, "left_out": [1.4] * 7, "misfit": [misfit] * 7, "gain": gain,
+            "chance": chance, "kept": bool(terms) and terms == keep,
+        }  # fmt: skip
+
+    dry = rung(
+        "slide rubs dry", misfit=1.8, gain=np.log(2.4 / 1.8), chance=0.02, leg_slide_friction=0.2911,
+        leg_axial_stiffness=6300.0, foot_dx=0.9,
+    )  # fmt: skip
+    drag = rung("air damps pitch", misfit=2.4, gain=0.0, chance=0.7, pitch_drag=1e-4)
+    judged = {
+        "verdict": verdict, "sentence": "1.40 × the noise", "nrmse": 0.1, "floor": 0.07, "ratio": 1.4,
+        "limits": {}, "channels": [], "phases": [], "symptoms": [],
+        "misfit": {
+            "channel": "q_B", "channel_ratio": 1.8, "phase": "at rest", "phase_ratio": 2.0, "trial": "drop-1",
+            "trial_ratio": 2.0,
+        },
+    }  # fmt: skip
+    return {
+        "campaign": {"file": "c.toml", "sha256": ""}, "trials": [f"drop-{k}" for k in range(7)],
+        "parts": parts, "adequacy": judged, "base": rung(misfit=2.4), "alone": [drag, dry], "together": [dry],
+        "symbols": {
+            "leg_axial_stiffness": "k_h", "foot_dx": "dx_f", "leg_slide_friction": "F_h", "pitch_drag": "c_q",
+        },
+        "units": {
+            "leg_axial_stiffness": "N/m", "foot_dx": "m", "leg_slide_friction": "N", "pitch_drag": "N·m·s²",
+        },
+        "simpler": [], "keep": list(keep), "parameters": ["leg_slide_friction"] * len(keep),
+        "evaluations": 10, "warnings": [], "seconds": 1.0,
+    }  # fmt: skip
+
+
+def test_terms_are_shown_by_what_judges_them_and_with_the_moves_that_mean_something():
+    document = ladder_of()
+    trust = {"parameters": [{"name": "foot_dx", "verdict": "not_identifiable"}]}
+    rows = [[cell.text for cell in row] for row in rungs_table(document, trust).rows]
+    assert [row[0] for row in rows] == [
+        "as fitted", "slide rubs dry", "air damps pitch", "kept: slide rubs dry",
+    ]  # fmt: skip
+    assert rows[1][1:] == ["1.4", "1.8", "25.0", "0.02", "yes", "F_h 0.291 N, k_h +5 %"]
+    assert rows[2][5:] == ["no", "c_q 0.0001 N·m·s²"]
+    assert "dx_f +350 %" in rungs_table(document).rows[1][-1].text
+    bars = figure_rungs(document).axes[0].lines[0]
+    np.testing.assert_allclose(bars.get_xdata(), 2.4)
+    assert "each trial as" in rungs_table(document).caption
+    assert "each part of a trial as" in rungs_table({**document, "parts": True}).caption
+
+
+def test_a_conclusion_never_calls_a_wrong_model_right():
+    said = conclusion(ladder_of(keep=()))
+    assert said[0] == (
+        "7 trials cannot show which term is missing; the nearest is slide rubs dry, with a chance of 0.02 "
+        "and a gain of 25.0 %"
+    )
+    assert said[1] == "the model still lacks something: 1.40 × the noise"
+    assert "fit more trials" in said[2]
+    assert "7 parts of trials cannot" in conclusion(ladder_of(keep=(), parts=True))[0]
+    assert conclusion(ladder_of(keep=(), verdict=EXPLAINED_BY))[-1].endswith("keep the model")
+    assert conclusion(ladder_of(verdict=EXPLAINED_BY)) == ["keep slide rubs dry"]
+    assert conclusion(ladder_of())[1].startswith("the model still lacks something")
+
+
+@pytest.mark.parametrize("kind", ["gear", "motor"])
+def test_a_report_shows_the_ladder_and_takes_it_for_no_validation(kind, tmp_path, run):
+    folder, steps = tmp_path / "fit", "what each step of the model buys"
+    if kind == "gear":
+        fit_campaign(SAMPLES / "gear-lf" / "campaign.toml", FitOptions(folder, **SHORT, trust=False))
+    else:
+        rung = {"rung": "lag", "nrmse": {"fitted": {name: 0.1 for name, _ in MOTOR}}}
+        write_fit(replace(made_fit(MOTOR), settings={"ladder": [rung]}), folder)
+    # The steps of the motor's fit stand there until terms were on trial.
+    before = open_report(folder).section("What the model lacks").text
+    assert f"run sysid ladder {folder}" in before
+    assert (steps in before) == (kind == "motor")
+    write_part(folder, LADDER, ladder_of(), {}, fit="bench", kind=kind)
+    code, _, err = run("report", folder, "--quiet", "--figure", tmp_path / "figures")
+    assert code == 0, err
+    page = (folder / "report.html").read_text("utf-8")
+    assert "What is missing in the model" in page
+    assert "keep slide rubs dry" in page
+    assert steps not in page
+    assert "validation on ladder" not in page
+    assert (tmp_path / "figures" / "ladder.pdf").stat().st_size > 1000
+    shown = run("show", folder)[1]
+    assert f"ladder: keep slide rubs dry; all of it: sysid report {folder}" in shown.replace("\n", "")
