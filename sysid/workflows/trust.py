@@ -64,10 +64,12 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
             trials = influence(spread, assessed.noise, floors, assessed.without)
         judged = assessed.adequacy
         rows = _parameters(opened.result, opened.space, assessed)
-        _notice_trials(problem.names, opened.space.decode(trials.without), trials, rows, opened.kind.words)
+        lacks = judged.verdict == NOT_BY
+        without = opened.space.decode(trials.without)
+        _notice_trials(problem.names, without, trials, rows, opened.kind.words, lacks)
         for finding in misfit_finding(judged):
             journal.add(finding)
-        for row in rows if judged.verdict == NOT_BY else ():
+        for row in rows if lacks else ():
             _doubt(row, "the model does not explain the trials")
         for finding in _doubts(opened.space.free, rows, assessed, opened.result.cube[0]):
             journal.add(finding)
@@ -161,20 +163,29 @@ def _doubt(row: dict[str, Any], why: str) -> None:
 
 
 def _notice_trials(
-    names: tuple[str, ...], without: FloatArray, trials: Influence, rows: list[dict[str, Any]], words: Words
+    names: tuple[str, ...],
+    without: FloatArray,
+    trials: Influence,
+    rows: list[dict[str, Any]],
+    words: Words,
+    lacks: bool,
 ) -> None:
     """Notice trials that stand out or decide the fit, and mark the rows of the parameters they touch.
 
-    `names` are the trials'; `without` (T, n) are the parameters of the fits without each [SI].
+    `names` are the trials'; `without` (T, n) are the parameters of the fits without each [SI]. Of a model
+    that `lacks` something the trials are the evidence: none is to be dropped before the terms were tried.
     """
-    advice = 'look at it, and fit without it (use = "validate")'
-    remedy = f" or {words.remedy}" if words.remedy else ""
+    look = 'look at it, and fit without it (use = "validate")'
+    unlike, alone = f": {look}", f"; {words.misleads} does that: {look}"
+    unlike += f" or {words.remedy}" if words.remedy else ""
+    if lacks:
+        unlike = alone = "; a term that the model lacks does that: try sysid ladder first"
     for t in trials.outliers:
         others = float(np.median(np.delete(trials.ratio, t)))
         notice(
             "trial-stands-out",
             f"{names[t]}: {trials.ratio[t]:.1f} × what noise alone costs where the others have {others:.1f}; "
-            f"it bends every parameter: {advice}{remedy}",
+            f"it bends every parameter{unlike}",
         )
         for row in rows:
             _doubt(row, f"{names[t]} fits unlike the other trials")
@@ -185,7 +196,7 @@ def _notice_trials(
         notice(
             "hangs-on-one-trial",
             f"the fit hangs on {names[t]} alone: without it {moved}, {abs(trials.shift[t, far[0]]):.0f} × "
-            f"what one trial less explains (standard deviations); {words.misleads} does that: {advice}",
+            f"what one trial less explains (standard deviations){alone}",
         )
         for i in far:
             _doubt(rows[i], f"it goes elsewhere without {names[t]}")
