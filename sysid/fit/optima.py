@@ -210,8 +210,12 @@ def unfixed(runs: Sequence[RunHistory], free: Sequence[Searched]) -> BoolArray:
     return out
 
 
-def loose_findings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[Finding, ...]:
+def loose_findings(
+    runs: Sequence[RunHistory], space: SearchSpace, ranges: bool = True
+) -> tuple[Finding, ...]:
     """Return which free parameters the data do not determine, judged from the candidates.
+
+    Without `ranges`, where intervals say how far a value may be off or none can be read, no spread is stated.
 
     An `unfixed` parameter is not identifiable. Of the others those are named whose value differs by more than
     1 % between candidates within 0.003 % of the best NRMSE, which no search tells apart, or between runs that
@@ -232,13 +236,13 @@ def loose_findings(runs: Sequence[RunHistory], space: SearchSpace) -> tuple[Find
     out = []
     for i in np.flatnonzero(wide):
         row = space.free[i]
+        span = f"from {low[i]:.2g} to {with_unit(f'{high[i]:.2g}', row.unit)}" if ranges else "far apart"
         sentence = (
-            f"{in_words(row, of_trial=False)} is not identifiable: sets from {low[i]:.2g} to "
-            f"{with_unit(f'{high[i]:.2g}', row.unit)} score within {100 * SAME_NRMSE:g} % of the best NRMSE; "
-            "do not read digits into it"
+            f"{in_words(row, of_trial=False)} is not identifiable: sets {span} score within "
+            f"{100 * SAME_NRMSE:g} % of the best NRMSE; do not read digits into it"
         )
         out.append(about(row, "not-identifiable", sentence, float(high[i] - low[i])))
-    weak = np.flatnonzero(~wide & (spread > _NAMED)) if len(runs) > 1 else ()
+    weak = np.flatnonzero(~wide & (spread > _NAMED)) if ranges and len(runs) > 1 else ()
     if len(weak):
         shares = ", ".join(f"{in_words(space.free[i])} {100 * spread[i]:.2g} %" for i in weak)
         sentence = (

@@ -15,7 +15,7 @@ import numpy as np
 
 from sysid.campaign import FitTable
 from sysid.errors import FitError, SysidError
-from sysid.fit.adequacy import EXPLAINED_BY, Adequacy, adequacy, misfit_finding
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_finding
 from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION, breeder
 from sysid.fit.breeders.in_process import BreederApart
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
@@ -138,8 +138,11 @@ def fit_campaign(
             judged = _judged(problem.fitted.exact, outcome)
             record = {**provenance(search, problem, folder), **expected, "adequacy": judged.model_dump()}
             result = _result(model.name, problem, runs, outcome, record)
-            doubts = loose_findings(runs, problem.space), bound_findings(outcome.records, outcome.at_bound)
-            _add_doubts(journal, chain(misfit_finding(judged), *doubts))
+            assessed = options.trust and outcome.cut is None
+            # A spread of the sets beside an interval is a second claim; of a wrong model it is none.
+            loose = loose_findings(runs, problem.space, not assessed and judged.verdict != NOT_BY)
+            doubts = chain(misfit_finding(judged), loose, bound_findings(outcome.records, outcome.at_bound))
+            _add_doubts(journal, doubts)
             noticed = [finding.document() for finding in journal.findings]
             result = replace(
                 result,
@@ -149,7 +152,7 @@ def fit_campaign(
             written = write_fit(result, folder, options.force or options.resume)
             until_written.close()
             if outcome.cut is None:
-                if options.trust:
+                if assessed:
                     missing = _assess(written, options, say)
                     result = with_intervals(result, written)
                 # What is done needs no checkpoint any more; until here --resume goes on with the intervals.

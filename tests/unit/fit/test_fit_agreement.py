@@ -119,6 +119,17 @@ def test_what_sets_of_one_nrmse_spread_over_is_named():
     assert loose_findings([run(0.08, (0.2, 0.1), ended="generations")] * 2, space_of_two()) == ()
 
 
+def test_beside_intervals_no_spread_is_named_but_what_is_open_still_is():
+    near, off = run(0.08, (0.2, 0.5)), run(0.08 * (1 + 1e-5), (0.2005, 0.51))
+    assert loose_findings([near, off], space_of_two(), ranges=False) == ()
+    apart = [run(0.08, (0.2, 0.4)), run(0.08, (0.2, 0.7))]
+    stated, bare = (loose_findings(apart, space_of_two(), ranges)[0] for ranges in (True, False))
+    assert (stated.code, stated.parameters) == (bare.code, bare.parameters) == ("not-identifiable", ("b",))
+    # 0.4 and 0.7 of the edge from 1 to 100.
+    assert "sets from 6.3 to 25 N/m score within 0.2 %" in stated.sentence
+    assert "sets far apart score within 0.2 %" in bare.sentence
+
+
 def test_runs_that_differ_only_in_what_the_data_do_not_fix_share_an_optimum():
     # Both searches closed in tightly, far apart along b (0.3 of the edge: a factor of four), at one NRMSE.
     runs = [run(0.08, (0.2, 0.4)), run(0.08, (0.2, 0.7))]
