@@ -181,7 +181,8 @@ def ladder(
 ) -> None:
     """Say which physics a fit's model lacks.
 
-    Adds each declared term to the model, then the best ones together, and judges them on trials left out.
+    Adds each declared term to the model, finds those to keep among all together, and judges them on trials
+    left out.
     """
     from sysid.workflows.ladder import climb_and_print
 

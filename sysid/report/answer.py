@@ -129,7 +129,7 @@ def next_step(fit: FitResult, trust: Mapping[str, Any] | None, predicted: bool, 
         at = judged["misfit"]
         return (
             f"no value counts yet: look at {at['channel']} {at['phase']} on {at['trial']}, where the misfit "
-            "sits, and change the model or the campaign."
+            f"sits, and change the campaign or the model: `sysid ladder {folder}` tries what it may lack."
         )
     if trust is None:
         return f"run `sysid trust {folder}` for intervals: what the data identify is not known yet."

@@ -39,6 +39,10 @@ def _gain(rung: Row) -> float:
     return float(-np.expm1(-rung["gain"]))
 
 
+def _chance(rung: Row) -> str:
+    return "< 0.001" if rung["chance"] < 1e-3 else number(rung["chance"], 2)
+
+
 def _left_out(document: Row, count: str = "each") -> str:
     """Return what was left out in turn, as in ``each trial`` or ``9 parts of trials``."""
     several = "" if count == "each" else "s"
@@ -80,7 +84,7 @@ def rungs_table(document: Row, trust: Row | None = None) -> Table:
 
     chances = ["of a term alone, that its gain is luck"]
     if document["keep"]:
-        chances.append("of a kept one, that its value beside those above is none but for luck")
+        chances.append("of a kept one, that its value beside the others is none but for luck")
     simpler = "; of a simpler model: of the fit's model over it" if document["simpler"] else ""
     return table(
         "What is missing in the model",
@@ -90,7 +94,7 @@ def rungs_table(document: Row, trust: Row | None = None) -> Table:
             numbers("NRMSE, fitted", lambda row: number(row[1]["over_noise"], 3)),
             numbers("misfit, left out", lambda row: number(_misfit(row[1]), 3)),
             numbers("gain", lambda row: percent(_gain(row[1]), 1), "%"),
-            numbers("chance", lambda row: number(row[1]["chance"], 2)),
+            numbers("chance", lambda row: _chance(row[1])),
             words("keep", kept),
             words("values, moves", lambda row: "" if row[1] is base else _changes(document, row[1], lost)),
         ),
@@ -112,8 +116,10 @@ def figure_rungs(document: Row) -> Figure:
         axes.plot(rung["over_noise"], y, "o", color="#D55E00", fillstyle="none")
     axes.axvline(1.0, color="0.3", linewidth=0.8, linestyle=":")
     axes.set_yticks(place, [words for words, _ in rows])
-    axes.set_xlabel(
-        f"over noise: misfit of {_left_out(document)} left out\n(bars; dot: mean), NRMSE fitted (ring)"
+    figure.supxlabel(
+        f"over noise: misfit of {_left_out(document)} left out (bars),\n"
+        "its mean (dot), and NRMSE of the fit (ring)",
+        fontsize="medium",
     )
     return figure
 
@@ -121,7 +127,11 @@ def figure_rungs(document: Row) -> Figure:
 def conclusion(document: Row) -> list[str]:
     """Return which terms to keep, or why none, and what the model still lacks: one thought each."""
     keep, judged = document["keep"], document["adequacy"]
-    lacks = f"the model still lacks something: {judged['sentence']}"
+    worst = judged["misfit"]
+    lacks = (
+        f"the model still lacks something: {judged['ratio']:.2f} × the noise is left, "
+        f"{worst['channel_ratio']:.2f} × in {worst['channel']}"
+    )
     lacking = [] if judged["verdict"] == EXPLAINED_BY else [lacks]
     if keep:
         return [f"keep {' and '.join(keep)}", *lacking]
@@ -133,7 +143,7 @@ def conclusion(document: Row) -> list[str]:
     nearest = document["together"][0]
     return [
         f"{_left_out(document, str(len(document['trials'])))} cannot show which term is missing; the nearest "
-        f"is {nearest['terms'][-1]}, with a chance of {number(nearest['chance'], 2)} and a gain of "
+        f"is {nearest['terms'][-1]}, with a chance of {_chance(nearest)} and a gain of "
         f"{percent(_gain(nearest), 1)} %",
         *lacking,
         "fit more trials, unlike these, and climb again",

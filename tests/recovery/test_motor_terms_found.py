@@ -27,7 +27,8 @@ def sagging(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_supply_that_sags_is_not_explained_and_then_found(sagging, tmp_path, run):
+def test_a_supply_that_sags_is_not_explained_and_then_found(sagging, tmp_path, run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
     path, (result, folder) = sagging
     judged = result.provenance["adequacy"]
     assert judged["verdict"] == "not_explained"
