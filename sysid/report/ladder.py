@@ -134,7 +134,7 @@ def conclusion(document: Row) -> list[str]:
     )
     lacking = [] if judged["verdict"] == EXPLAINED_BY else [lacks]
     if keep:
-        return [f"keep {' and '.join(keep)}", *lacking]
+        return [f"keep {', '.join(keep)}", *lacking]
     if not lacking:
         return [
             "no term predicts what was left out better than chance, and noise explains the fit: keep the "
