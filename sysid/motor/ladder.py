@@ -27,7 +27,8 @@ from sysid.motor.problem import MotorProblem
 from sysid.motor.static_curves import turns
 from sysid.motor.targets import PreparedTrial
 from sysid.parameters import ParameterTable, SearchSpace
-from sysid.trust.ladder import downhill, starts_near
+from sysid.trust.ladder import starts_near
+from sysid.trust.terms import downhill
 from sysid.types import BoolArray, FloatArray, IntArray
 
 # Compared instants below which a group of samples has no NRMSE, and their least standard deviation as a share

@@ -19,6 +19,7 @@ from sysid.trust.linearized import Linearized, linearized, noise_model
 from sysid.trust.misfit import not_narrower, widened
 from sysid.trust.problem import nrmse_of, scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
+from sysid.trust.terms import searched
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray, IntArray
 
@@ -138,11 +139,18 @@ class Assessment:
 
 
 def assess(
-    problem: Problem, start: FloatArray, *, resamples: int = 100, seed: int = 0, say: Say = None
+    problem: Problem,
+    start: FloatArray,
+    *,
+    wider: Problem | None = None,
+    resamples: int = 100,
+    seed: int = 0,
+    say: Say = None,
 ) -> Assessment:
     """Assess a fit: linearized uncertainty, profiles of all free parameters, bootstrap over whole trials.
 
-    `start` (n,) is the best set [unit cube]. There is no bootstrap without `resamples` or with fewer than
+    `start` (n,) is the best set [unit cube]. `wider` has the terms on trial free as well; it is looked at
+    where noise does not explain the trials. There is no bootstrap without `resamples` or with fewer than
     three trials.
     """
     tell = say or (lambda sentence: None)
@@ -156,7 +164,11 @@ def assess(
         again = walk_profiles(problem, linear, seed)
         walked = replace(again, evaluations=walked.evaluations + again.evaluations)
     if judged.verdict != EXPLAINED_BY:
-        walked = not_narrower(walked, problem.space, linear)
+        others = [linear]
+        if wider is not None and len(wider.space.free) > len(start):
+            tell("all terms that the model may lack, fitted together")
+            others.append(linearize_widened(wider.exact, searched(wider)[0]))
+        walked = not_narrower(walked, problem.space, others)
     resampled = None
     if resamples > 0 and len(problem.trials) >= FEWEST:
         tell(f"{resamples} fits of resampled trials")
@@ -170,11 +182,23 @@ def _judged(problem: Problem, start: FloatArray) -> tuple[Adequacy, Linearized, 
     What noise alone leaves open, what is left open with the misfit, and the fits without each trial.
     """
     noise = linearize(problem, start)
-    space = problem.space
-    sides = dict(zip(space.names, space.at_bound(noise.point[None])[0].tolist(), strict=True))
-    judged = adequacy(problem, space.full(noise.point[None])[0], sides)
+    judged = _adequacy(problem, noise.point)
     without = leave_one_out(problem, noise) if len(problem.trials) >= FEWEST else None
     if judged.verdict == EXPLAINED_BY:
         return judged, noise, noise, without
     points = np.zeros((0, len(start))) if without is None else without.points
     return judged, noise, widened(problem, noise, points), without
+
+
+def linearize_widened(problem: Problem, start: FloatArray) -> Linearized:
+    """Go to the minimum near a start; return what noise leaves open there, or misfit if there is any."""
+    linear = linearize(problem, start)
+    if _adequacy(problem, linear.point).verdict != EXPLAINED_BY:
+        linear = widened(problem, linear, np.zeros((0, len(linear.point))))
+    return linear
+
+
+def _adequacy(problem: Problem, point: FloatArray) -> Adequacy:
+    space = problem.space
+    sides = dict(zip(space.names, space.at_bound(point[None])[0].tolist(), strict=True))
+    return adequacy(problem, space.full(point[None])[0], sides)

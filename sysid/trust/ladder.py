@@ -20,23 +20,21 @@ models of a kind are judged so, the fit's model as what it adds to each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from sysid.errors import FitError
-from sysid.fit.adequacy import EXPLAINED_BY, adequacy
-from sysid.fit.least_squares import Fronts, MeanNrmse, descend, drive
 from sysid.fit.problem import Problem, Term
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
-from sysid.trust.assessment import linearize
+from sysid.trust.assessment import linearize_widened
 from sysid.trust.least_squares import solve
-from sysid.trust.misfit import widened
 from sysid.trust.problem import nrmse_of, scales
-from sysid.types import BoolArray, FloatArray
+from sysid.trust.terms import TOLERANCE, downhill, freed, placed, searched
+from sysid.types import FloatArray
 
 # A term is kept up to this probability of chance, if it buys at least this of the noise [1].
 CHANCE, LEAST_GAIN = 0.05, 0.01
@@ -48,7 +46,7 @@ _CHANGES = 4096
 _STARTS = (0.0, -0.15, 0.05, 0.3)
 # Further starts of a simpler model.
 _AROUND = 7
-_TOLERANCE, _ITERATIONS, _ITERATIONS_WITHOUT = 1e-4, 15, 6
+_ITERATIONS_WITHOUT = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,25 +114,6 @@ class Ladder:
         return self.together[-1] if self.together[-1].kept else self.base
 
 
-def freed(problem: Problem, term: Term) -> Problem:
-    """Return a problem in which a term's parameters are free as well."""
-    space = problem.space
-    extra = tuple(space.table[name] for name in term.parameters if name not in space.names)
-    fixed = {name: value for name, value in space.fixed.items() if name not in term.parameters}
-    return replace(problem, space=SearchSpace(space.table, (*space.free, *extra), fixed))  # type: ignore[type-var]
-
-
-def downhill(
-    problem: Problem, starts: FloatArray, residuals: Callable[[FloatArray], tuple[FloatArray, BoolArray]]
-) -> tuple[FloatArray, int]:
-    """Walk from starts (F, n) [unit cube] to the least mean NRMSE; return where, and the simulated points."""
-    fronts = Fronts.at(starts)
-    walk = descend(fronts, MeanNrmse(problem), tolerance=_TOLERANCE, iterations=_ITERATIONS)
-    evaluations = drive(walk, residuals)
-    fronts.sort()
-    return fronts.points[0].copy(), evaluations
-
-
 class Climber:
     """Fits rungs and counts what they simulate."""
 
@@ -176,20 +155,17 @@ class Climber:
         return replace(rung, gain=over.gain, chance=over.chance, kept=needed)
 
     def _alone(self, base: TermFit, term: Term) -> TermFit:
-        problem = freed(self._problem, term)
-        new = [i for i, name in enumerate(problem.space.names) if name in term.parameters]
-        starts = np.repeat(self._point(problem, base.values)[None], len(_STARTS), axis=0)
+        problem = freed(self._problem, (term,))
+        starts = np.repeat(placed(self._problem, problem, base.values)[None], len(_STARTS), axis=0)
+        new = slice(len(self._start), None)
         starts[:, new] = np.clip(starts[:, new] + np.array(_STARTS)[:, None], 0.0, 1.0)
-        return self._fitted((term,), problem, np.unique(starts, axis=0))
+        return self._fitted((term,), problem, starts)
 
     def _together(self, base: TermFit, alone: Sequence[TermFit]) -> list[TermFit]:
         """Return the terms to keep, one more on each rung, the most certain first; none if chance does it."""
         terms = tuple(rung.terms[0] for rung in alone)
-        problem = self._problem
-        for term in terms:
-            problem = freed(problem, term)
-        starts = np.array([self._point(problem, rung.values) for rung in (base, *alone)])
-        rung = self._fitted(terms, problem, np.unique(starts, axis=0))
+        problem = freed(self._problem, terms)
+        rung = self._rated(terms, problem, *searched(problem))
         while rung.terms:
             rung, chances = self._by_certainty(rung, len(terms))
             below = self._without_last(rung)
@@ -210,16 +186,13 @@ class Climber:
 
     def _by_certainty(self, rung: TermFit, looked_at: int) -> tuple[TermFit, list[float]]:
         """Sort a rung's terms, the most certain first; return the chance of each that its value is none."""
-        linear = linearize(rung.problem, rung.point)
-        space = rung.problem.space
+        linear, space = linearize_widened(rung.problem, rung.point), rung.problem.space
         rung = replace(rung, point=linear.point)
-        if adequacy(rung.problem, space.full(linear.point[None])[0]).verdict != EXPLAINED_BY:
-            linear = widened(rung.problem, linear, np.zeros((0, len(linear.point))))
         wald, chances = [], []
         for term in rung.terms:
             of = [space.names.index(name) for name in term.parameters]
             none = {name: self._problem.space.fixed[name] for name in term.parameters}
-            way = (linear.point - self._point(rung.problem, {**rung.values, **none}))[of]
+            way = (linear.point - placed(self._problem, rung.problem, {**rung.values, **none}))[of]
             inverse = np.linalg.pinv(linear.information.covariance[np.ix_(of, of)], hermitian=True)
             square = float(way @ inverse @ way)
             wald.append(square / len(of))
@@ -229,18 +202,16 @@ class Climber:
 
     def _without_last(self, rung: TermFit) -> TermFit:
         """Return a rung fitted without its last term, from where it is."""
-        terms, problem = rung.terms[:-1], self._problem
-        for term in terms:
-            problem = freed(problem, term)
-        return self._fitted(terms, problem, self._point(problem, rung.values)[None])
-
-    def _point(self, problem: Problem, values: Mapping[str, float]) -> FloatArray:
-        """Return the point (n,) [unit cube] of values by name [SI]; a term that they lack is off."""
-        known = {**self._problem.space.fixed, **values}
-        return np.clip(problem.space.encode(np.array([known[n] for n in problem.space.names])), 0.0, 1.0)
+        terms = rung.terms[:-1]
+        problem = freed(self._problem, terms)
+        return self._fitted(terms, problem, placed(self._problem, problem, rung.values)[None])
 
     def _fitted(self, terms: tuple[Term, ...], problem: Problem, starts: FloatArray) -> TermFit:
-        point, evaluations = downhill(problem, starts, problem.residuals)
+        return self._rated(terms, problem, *downhill(problem, starts))
+
+    def _rated(
+        self, terms: tuple[Term, ...], problem: Problem, point: FloatArray, evaluations: int
+    ) -> TermFit:
         self.evaluations += evaluations
         levels = nrmse_of(problem.blocks, problem.residuals(point[None])[0])[0]
         weights = np.array([block.weight for block in problem.blocks])
@@ -259,7 +230,7 @@ class Climber:
         solved = solve(
             problem, np.repeat(point[None], count, axis=0), scale,
             weights=lambda part: 1.0 - left[part],
-            tolerance=_TOLERANCE, iterations=_ITERATIONS_WITHOUT,
+            tolerance=TOLERANCE, iterations=_ITERATIONS_WITHOUT,
         )  # fmt: skip
         self.evaluations += solved.evaluations + count
         squares = problem.residuals(solved.points)[0] ** 2 * left

@@ -10,11 +10,13 @@ trials, a parameter's deviation is therefore the largest of
 * what leaving any single trial out moves it by;
 
 times Student's t of as many trials over the normal quantile. Bias that all trials share and that looks like a
-change of the parameter stays unseen by any of these; the verdict names it as not interpretable.
+change of the parameter stays unseen by any of these. The interval therefore reaches to where the parameter
+goes when all terms that its kind declares are fitted as well, with what stays open there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -47,18 +49,18 @@ def widened(problem: Problem, linear: Linearized, without: FloatArray) -> Linear
     return replace(linear, information=information, half_widths=widths)
 
 
-def not_narrower(profiles: Profiles, space: SearchSpace, linear: Linearized) -> Profiles:
-    """Return profiles whose intervals contain the `widened` linearized ones.
+def not_narrower(profiles: Profiles, space: SearchSpace, others: Sequence[Linearized]) -> Profiles:
+    """Return profiles whose intervals contain linearized ones, of these parameters and perhaps further ones.
 
     The cost of a wrong model is rough and rises in steps, so that a profile may end before the misfit does.
     """
-    out, sigma = [], linear.information.sigma
+    out, n = [], len(profiles.profiles)
     for i, profile in enumerate(profiles.profiles):
         ends: dict[str, Any] = {}
         for level, reach in ((68, 1.0), (95, NORMAL_95)):
-            way = np.array([-reach, reach]) * sigma[i]
-            cube = np.repeat(linear.point[None], 2, axis=0)
-            cube[:, i] = np.clip(cube[:, i] + way, 0.0, 1.0)
+            ways = [at.point[i] + side * at.information.sigma[i] for at in others for side in (-reach, reach)]
+            cube = np.repeat(others[0].point[None, :n], 2, axis=0)
+            cube[:, i] = np.clip([min(ways), max(ways)], 0.0, 1.0)
             low, high = space.decode(cube)[:, i].tolist()
             was, opened = getattr(profile, f"interval_{level}"), getattr(profile, f"open_{level}")
             ends[f"interval_{level}"] = min(was[0], low), max(was[1], high)

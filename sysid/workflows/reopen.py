@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from sysid.errors import FitError
-from sysid.fit.problem import Kind, Problem
+from sysid.fit.problem import Kind, Problem, Term
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import notice
@@ -56,6 +56,11 @@ class OpenedFit:
     def stated(self) -> dict[str, str]:
         """Name and hash of the campaign file as it was read."""
         return {"file": self.path.name, "sha256": self.whole.campaign.source.sha256}
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of the kind that the fit has not."""
+        return tuple(t for t in self.kind.terms if not set(t.parameters) <= set(self.space.names))
 
     @property
     def space(self) -> SearchSpace:

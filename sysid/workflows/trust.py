@@ -22,6 +22,7 @@ from sysid.trust.documents import TRUST, stating_intervals, write_part
 from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
 from sysid.trust.problem import spread_over
+from sysid.trust.terms import freed
 from sysid.types import FloatArray
 from sysid.workflows.options import TrustOptions
 from sysid.workflows.reopen import OpenedFit, open_fit
@@ -56,6 +57,7 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
             assessed = assess(
                 spread,
                 opened.result.cube[0],
+                wider=freed(opened.whole.fitted, opened.terms),
                 resamples=options.resamples,
                 seed=options.seed,
                 say=journal.tell,

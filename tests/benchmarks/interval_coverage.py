@@ -47,6 +47,7 @@ from sysid.fit.problem import Problem
 from sysid.synthetic import read_truth, synthesize_gear, synthesize_motor
 from sysid.synthetic.motor import TRIALS
 from sysid.trust.assessment import Assessment, assess
+from sysid.types import FloatArray
 from sysid.workflows.kinds import find_kind
 
 
@@ -90,11 +91,15 @@ def replicate(seed: int, problem: str, folder: Path, foreign: int = 0) -> tuple[
     return assessed.adequacy, intervals
 
 
-def judged(fitted: Problem, true: dict[str, float]) -> tuple[Assessment, list[Covered]]:
-    """Assess a problem of fitted trials from its true parameters."""
+def judged(
+    fitted: Problem, true: dict[str, float], start: FloatArray | None = None, wider: Problem | None = None
+) -> tuple[Assessment, list[Covered]]:
+    """Assess a problem of fitted trials from the place where a fit ended, by default from its truth."""
     free = fitted.space.free
     truth = np.array([true[row.common_name] for row in free])
-    assessed = assess(fitted, fitted.space.encode(truth), resamples=0)
+    assessed = assess(
+        fitted, fitted.space.encode(truth) if start is None else start, wider=wider, resamples=0
+    )
     return assessed, [
         Covered(p.name, t, p.best, *p.interval_95, p.half_width, word)
         for p, t, row, word in zip(assessed.profiles.profiles, truth, free, assessed.verdicts, strict=True)

@@ -1,0 +1,56 @@
+"""A fit with further terms of its kind: their parameters freed, searched or walked downhill."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sysid.fit.least_squares import Fronts, MeanNrmse, descend, drive
+from sysid.fit.problem import Problem, Term
+from sysid.fit.search import SearchSettings, run_one
+from sysid.parameters import SearchSpace
+from sysid.types import BoolArray, FloatArray
+
+Residuals = Callable[[FloatArray], tuple[FloatArray, BoolArray]]
+
+TOLERANCE, _ITERATIONS = 1e-4, 15
+
+
+def freed(problem: Problem, terms: Sequence[Term]) -> Problem:
+    """Return a problem in which the parameters of terms are free as well, behind its own."""
+    space = problem.space
+    names = [name for term in terms for name in term.parameters]
+    extra = tuple(space.table[name] for name in names if name not in space.names)
+    fixed = {name: value for name, value in space.fixed.items() if name not in names}
+    return replace(problem, space=SearchSpace(space.table, (*space.free, *extra), fixed))  # type: ignore[type-var]
+
+
+def placed(problem: Problem, wider: Problem, values: Mapping[str, float]) -> FloatArray:
+    """Return the point (n,) [unit cube] of `wider` at values by name [SI]; what they lack is off.
+
+    `problem` lacks the terms, and says what off is.
+    """
+    space, known = wider.space, {**problem.space.fixed, **values}
+    return np.clip(space.encode(np.array([known[name] for name in space.names])), 0.0, 1.0)
+
+
+def downhill(
+    problem: Problem, starts: FloatArray, residuals: Residuals | None = None
+) -> tuple[FloatArray, int]:
+    """Walk from starts (F, n) [unit cube] to the least mean NRMSE; return where, and the simulated points."""
+    fronts = Fronts.at(np.unique(starts, axis=0))
+    walk = descend(fronts, MeanNrmse(problem), tolerance=TOLERANCE, iterations=_ITERATIONS)
+    evaluations = drive(walk, residuals or problem.residuals)
+    fronts.sort()
+    return fronts.points[0].copy(), evaluations
+
+
+def searched(problem: Problem) -> tuple[FloatArray, int]:
+    """Return the best point (n,) [unit cube] of one run of the default search, and the scored points.
+
+    With all terms free the minimum near the fit is often not the least one.
+    """
+    run = run_one(problem, SearchSettings(runs=1))
+    return run.best_point, run.evaluations
