@@ -331,7 +331,7 @@ class Fit(Shown):
         is kept in the folder, and `table` shows it. Raises SysidError when the campaign cannot be used.
         """
         document = assess_fit(self._folder, python_options(TrustOptions, options))
-        self.result = with_intervals(self.result, self._folder)
+        self.result = with_intervals(read_fit(self._folder), self._folder)
         return Judgement(document)
 
     def report(self, out: str | Path | None = None, **options: Any) -> Path:

@@ -96,13 +96,15 @@ class Journal:
     """Carries findings and progress of one command to the terminal, the record and the report.
 
     While it is entered, `notice` adds to it; of nested journals the innermost one. `say` takes one line of
-    text at a time; `noun` is what the trials are called: ``drops``, ``trials``.
+    text at a time; `noun` is what the trials are called: ``drops``, ``trials``. The `heard` sentences were
+    printed before: they are kept, not repeated.
     """
 
-    def __init__(self, say: Say = None, noun: str = "trials") -> None:
+    def __init__(self, say: Say = None, noun: str = "trials", heard: Iterable[str] = ()) -> None:
         self._say = (lambda line: say(printable(line))) if say else lambda line: None
         self.noun = noun
         self.trials = 0
+        self._heard = {*heard}
         self._findings: list[Finding] = []
         self._waiting: list[Finding] = []
         self._open = ExitStack()
@@ -164,7 +166,9 @@ class Journal:
         return [spoken(finding, self.trials, self.noun) for finding in chosen]
 
     def _print(self, finding: Finding) -> None:
-        self._say(f"{finding.severity}: {spoken(finding, self.trials, self.noun)}")
+        sentence = spoken(finding, self.trials, self.noun)
+        if sentence not in self._heard:
+            self._say(f"{finding.severity}: {sentence}")
 
 
 _OPEN: ContextVar[Journal | None] = ContextVar("journal", default=None)

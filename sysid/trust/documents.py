@@ -13,7 +13,7 @@ values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -411,14 +411,18 @@ def parts(folder: Path) -> tuple[str, ...]:
 def with_intervals(sets: Sets, folder: Path) -> Sets:
     """Return the sets of a fit folder; settings state interval and verdict where the fit was assessed."""
     document = read_part(folder, TRUST) if folder.is_dir() else None
-    return sets if document is None else stating_intervals(sets, document["parameters"])
+    return sets if document is None else stating_intervals(sets, document)
 
 
-def stating_intervals(sets: Sets, parameters: Iterable[Mapping[str, Any]]) -> Sets:
-    """Return sets whose settings state interval and verdict of a document's `parameters`."""
+def stating_intervals(sets: Sets, document: Mapping[str, Any]) -> Sets:
+    """Return sets whose settings state interval and verdict of a document, and which give its warnings."""
     keys = ("interval_95", "open_95", "verdict", "doubt")
-    rows = {row["name"]: {key: row[key] for key in keys} for row in parameters}
-    return replace(sets, settings={**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}})
+    rows = {row["name"]: {key: row[key] for key in keys} for row in document["parameters"]}
+    return replace(
+        sets,
+        settings={**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}},
+        warnings=tuple(dict.fromkeys((*sets.warnings, *document["warnings"]))),
+    )
 
 
 def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:

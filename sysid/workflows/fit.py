@@ -153,7 +153,7 @@ def fit_campaign(
             until_written.close()
             if outcome.cut is None:
                 if assessed:
-                    missing = _assess(written, options, say)
+                    missing = _assess(written, options, say, result.warnings)
                     result = with_intervals(result, written)
                 # What is done needs no checkpoint any more; until here --resume goes on with the intervals.
                 checkpoint.discard()
@@ -167,12 +167,12 @@ def fit_campaign(
     return result, written
 
 
-def _assess(written: Path, options: FitOptions, say: Say) -> str:
+def _assess(written: Path, options: FitOptions, say: Say, heard: Iterable[str]) -> str:
     """Add the intervals to a fit; return a sentence where that cannot be: the fit is whole without them."""
     # Resamples would take longer than all else, and no interval rests on them.
     trust = TrustOptions(resamples=0, threads=options.threads, dask=options.dask)
     try:
-        assess_fit(written, trust, say)
+        assess_fit(written, trust, say, heard)
     except SysidError as error:
         # A campaign that was moved meanwhile must not look like a failure.
         return f"no intervals ({error}); run sysid trust {written}"

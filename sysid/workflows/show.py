@@ -40,6 +40,9 @@ def print_sets(source: str | Path, json: bool) -> None:
     if json:
         print(sets.document().text(), end="")
         return
+    # A fit has said so when it was judged; its folder and files say it first.
+    if judged := sets.provenance.get(ADEQUACY):
+        print_lines([judged["sentence"]], "" if judged["verdict"] == EXPLAINED_BY else "bold yellow")
     _print_tables(sets)
     path = Path(source)
     folder = fit_folder(path) if path.is_dir() or path.name == "fit.h5" else None
@@ -100,25 +103,28 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
 def verdict_on(result: FitResult) -> str:
     """Return whether noise explains the fit, and what the data leave open, in one sentence."""
     found, judged = result.provenance.get("findings", ()), result.provenance.get(ADEQUACY)
-    lost = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}
-    intervals = result.settings.get(INTERVALS, {})
-    lost |= {name for name, row in intervals.items() if row["verdict"].startswith("not_")}
-    known = f"not identifiable: {', '.join(sorted(lost))}" if lost else "every free parameter is identifiable"
+    words = {name: row["verdict"] for name, row in result.settings.get(INTERVALS, {}).items()}
+    unfixed = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}
+    words |= {name: "not_identifiable" for name in unfixed if words.get(name) != "not_interpretable"}
+    lost = [
+        f"{word}: {', '.join(sorted(name for name in words if words[name] == word))}"
+        for word in ("not_interpretable", "not_identifiable")
+        if word in words.values()
+    ]
     if judged is None:
         fits = f"not compared with the noise, NRMSE {100 * result.nrmse[0]:.2f} %"
     else:
         scores = scores_in_words(*(judged[key] for key in ("nrmse", "floor", "ratio")))
         fits = f"{WORDS[judged['verdict']]}, {scores}"
-        if judged["verdict"] == NOT_BY and not lost:
-            known = "no parameter is well known"
+        if judged["verdict"] == NOT_BY:
+            lost.insert(0, "no parameter is well known")
+    known = "; ".join(lost) or "every free parameter is identifiable"
     warned = len(result.warnings)
     count = f"{warned or 'no'} warning{'' if warned == 1 else 's'}"
     return f"{fits}; {known.replace('_', ' ')}; {count}"
 
 
 def _print_tables(sets: ParameterSets) -> None:
-    if judged := sets.provenance.get("adequacy"):
-        print_lines([judged["sentence"]], "" if judged["verdict"] == EXPLAINED_BY else "bold yellow")
     print_table(ranked_table(sets))
     print_table(mean_sigma_table(sets))
     if sets.trials:

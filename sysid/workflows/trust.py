@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +39,18 @@ _ENDS = ("interval_68", "interval_95", "open_68", "open_95")
 _MOVED = 2.0
 
 
-def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = None) -> dict[str, Any]:
+def assess_fit(
+    folder: Path, options: TrustOptions | None = None, say: Say = None, heard: Iterable[str] = ()
+) -> dict[str, Any]:
     """Assess a fit and store the result in its folder; return the document of `sysid.trust.documents`.
+
+    Warnings that were `heard` are not said again.
 
     Raises `SysidError` when the fit or its campaign cannot be used; nothing has been written then.
     """
     options = options or TrustOptions()
     began = time.perf_counter()
-    with Journal(say) as journal:
+    with Journal(say, heard=heard) as journal:
         opened = open_fit(folder, options.campaign, 1 if options.dask else options.threads)
         problem = opened.problem
         journal.noun = opened.kind.words.trials
@@ -69,8 +74,11 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
         lacks = judged.verdict == NOT_BY
         without = opened.space.decode(trials.without)
         _notice_trials(problem.names, without, trials, rows, opened.kind.words, lacks)
+        said = {one["code"]: one["sentence"] for one in opened.result.provenance.get("findings", ())}
         for finding in misfit_finding(judged):
-            journal.add(finding)
+            # Where the fit has said so its numbers stay: they are of its best set.
+            same = said.get(finding.code) if not finding.trials else None
+            journal.add(replace(finding, sentence=same or finding.sentence))
         for row in rows if lacks else ():
             _doubt(row, "the model does not explain the trials")
         for finding in _doubts(opened.space.free, rows, assessed, opened.result.cube[0]):
@@ -81,7 +89,7 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
     # No value leaves without its interval.
     write_part(
         opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind,
-        beside=fit_texts(stating_intervals(opened.result, rows)),
+        beside=fit_texts(stating_intervals(opened.result, document)),
     )  # fmt: skip
     return document
 

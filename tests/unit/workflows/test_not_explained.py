@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import pytest
 
 from fakes.lag_kind import write_lag
+from sysid.api import load_fit
 from sysid.fit import problem
 from sysid.trust import influence
+from sysid.trust.documents import TRUST, read_part
 from sysid.workflows import fit as walk
 from sysid.workflows.options import FitOptions
 from sysid.workflows.show import print_fit
@@ -54,3 +56,30 @@ def test_a_spread_of_the_sets_is_stated_where_no_interval_is_and_noise_explains(
     monkeypatch.setattr(walk, "loose_findings", lambda *given: asked.append(given[-1]) or ())
     fit(trust=trust)
     assert asked == [ranges]
+
+
+def test_not_explained_is_said_first_and_last_with_one_number(fit):
+    done = fit(finish="none", max_generations=8)
+    warned = [line.removeprefix("warning: ") for line in done.heard if line.startswith("warning: ")]
+    (first,) = (line for line in warned if "not explained" in line)
+    (last,) = (line for line in done.printed if "not explained" in line)
+    assert ": not explained, NRMSE " in last
+    # The trust goes on from the best set to where the sum of squares is least, which has other numbers.
+    stated = read_part(done.folder, TRUST)
+    assert stated["adequacy"]["sentence"] != first.removeprefix("warning: ")
+    assert [line for line in stated["warnings"] if "not explained" in line] == [
+        first.removeprefix("warning: ")
+    ]
+    assert load_fit(done.folder).warnings == tuple(line.removeprefix("warning: ") for line in warned)
+    for words in (
+        "; no parameter is well known; not interpretable: time constant; not identifiable: gain; ",
+        f"; {len(warned)} warnings",
+    ):
+        assert words in last
+
+
+def test_show_says_it_above_its_tables(fit, run):
+    done = fit(trust=False)
+    out = run("show", done.folder)[1]
+    assert out.count("not explained") == 1
+    assert out.startswith("not explained: NRMSE ")
