@@ -178,7 +178,7 @@ def _notice_trials(
     trials: Influence,
     rows: list[dict[str, Any]],
     words: Words,
-    lacks: bool,
+    lacks: bool = False,
 ) -> None:
     """Notice trials that stand out or decide the fit, and mark the rows of the parameters they touch.
 
