@@ -156,7 +156,7 @@ def spread_table(document: Row) -> Table:
 def noise_table(document: Row) -> Table:
     """Return the residuals per channel, the noise floor and the number of independent samples."""
     return table(
-        "residuals",
+        "residuals, with errors of known values",
         document["noise"]["channels"],
         (
             words("channel", lambda row: channel_symbol(row["name"])),
@@ -167,6 +167,7 @@ def noise_table(document: Row) -> Table:
             numbers("samples", lambda row: str(row["samples"])),
             numbers("independent", lambda row: f"{row['independent_samples']:.0f}"),
         ),
+        "the adequacy of the fit leaves out what errors of known values explain",
     )
 
 
@@ -374,7 +375,7 @@ def print_trust(document: Row, folder: Path, json: bool, *, long: bool = False) 
     for part in (interval_table(document), *wide, noise_table(document)):
         print_table(part)
     scores = ", ".join(f"{trial['name']} {trial['ratio']:.2f}" for trial in document["trials"])
-    print_lines([f"residual over noise by trial: {scores}", *document["notes"]])
+    print_lines([f"residual over noise by trial, with errors of known values: {scores}", *document["notes"]])
     print_lines([f"written to {folder / 'trust.json'} and .h5 in {document['seconds']:.0f} s"])
 
 

@@ -12,6 +12,7 @@ from sysid.report.trust_tables import (
     check_lines,
     comparison_table,
     expected_table,
+    noise_table,
     validation_table,
 )
 from sysid.trust.influence import Influence
@@ -69,6 +70,15 @@ def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
         word for word in ("bounce", "start_time", "slope") if any(word in sentence for sentence in sentences)
     ]
     assert of_drops == (["bounce", "start_time", "slope"] if kind == "gear" else [])
+
+
+def test_two_ratios_of_one_channel_say_what_parts_them():
+    channel = {"name": "x_B", "unit": "m", "residual": 1.19e-3, "floor": 1e-3, "samples": 9,
+               "independent_samples": 3.0}  # fmt: skip
+    shown = noise_table({"noise": {"channels": [channel]}})
+    assert shown.title.endswith("with errors of known values")
+    assert shown.rows[0][4].text == "1.19"
+    assert "leaves out what errors of known values explain" in shown.caption
 
 
 def test_a_parameter_that_no_channel_sees_is_told_by_nothing():
