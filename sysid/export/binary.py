@@ -1,8 +1,9 @@
 """Parameter sets as HDF5 and MATLAB files.
 
 Arrays are native datasets and matrices; texts, records and settings are one exact JSON text next to
-them (``metadata_json``), which is what sysid reads. Copies of it in native form (names, units, bounds; in
-MATLAB also one structure per set) are for other readers.
+them (``metadata_json``), which is what sysid reads. Copies of it in native form (names, units, bounds,
+95 % intervals and verdicts; in MATLAB also one structure per set) are for other readers. An open end of an
+interval is infinite; the end and the verdict of what was not judged are NaN and empty.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import ExportError
-from sysid.parameter_sets import ParameterSets, SetsMetadata
+from sysid.parameter_sets import INTERVALS, ParameterSets, SetsMetadata, interval_columns
 from sysid.storage import FileKind, put, put_texts
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -34,6 +35,10 @@ def _records(sets: ParameterSets) -> dict[str, NDArray[Any]]:
     }
     # None becomes NaN.
     numbers = {key: np.array([getattr(r, key) for r in sets.parameters], np.float64) for key in _NUMBERS}
+    if judged := sets.settings.get(INTERVALS):
+        rows = [interval_columns(judged.get(name)) for name in sets.names]
+        texts["verdict"] = np.array([row.pop("verdict") for row in rows], dtype=object)
+        numbers |= {key: np.array([row[key] for row in rows], np.float64) for key in rows[0]}
     return texts | numbers
 
 
@@ -48,7 +53,7 @@ def to_hdf5(sets: ParameterSets) -> bytes:
         put(file, "nrmse_by_trial", sets.nrmse_by_trial, "set, trial, channel")
         put(file, "at_bound", sets.at_bound, "set, parameter: -1 lower bound, +1 upper bound")
         for key, column in _records(sets).items():
-            if key in _NUMBERS:
+            if column.dtype == np.float64:
                 put(file, f"parameters/{key}", column, "parameter", "its unit")
             else:
                 put_texts(file, f"parameters/{key}", map(_no_nul, column))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import ExportError
-from sysid.parameter_sets import INTERVALS, ParameterSets, SetsMetadata
+from sysid.parameter_sets import INTERVALS, ParameterSets, SetsMetadata, interval_columns
 
 SIGNATURE = b"row,name,symbol,unit,status,"
 # A spreadsheet takes a text that begins so for a formula; an apostrophe is doubled, to be read back.
@@ -49,9 +50,8 @@ def to_csv(sets: ParameterSets) -> bytes:
             row["measured_low"], row["measured_high"] = record["measured_range"]
         if known := sets.settings.get(INTERVALS, {}).get(record["name"]):
             # The cell of an open end is empty: a bound of the search is no end.
-            (low, high), (below, above) = known["interval_95"], known["open_95"]
-            ends = None if below else low, None if above else high
-            row |= dict(zip(_INTERVAL, (*ends, known["verdict"]), strict=True))
+            cells = interval_columns(known).items()
+            row |= {key: None if cell in (-math.inf, math.inf) else cell for key, cell in cells}
         row |= {f"at_bound_{s + 1}": int(flag) for s, flag in enumerate(sets.at_bound[:, i])}
         rows.append(row | _by_set(sets.values[:, i]))
     rows.append({"row": "nrmse_mean", "unit": "1"} | _by_set(sets.nrmse))

@@ -53,6 +53,30 @@ def test_hdf5_has_native_arrays(tmp_path):
         assert file["trials"].asstr()[:].tolist() == ["drop-1", "drop-2"]
 
 
+def test_intervals_and_verdicts_are_beside_the_values_for_other_readers(tmp_path):
+    judged = {
+        "leg_axial_stiffness": {"interval_95": [6e3, 7e3], "open_95": [False, True], "verdict": "weakly"},
+        "leg_length": {"interval_95": [0.12, 0.14], "open_95": [False, False], "verdict": "well"},
+    }
+    sets = made_sets(settings={"intervals": judged})
+    wanted = {
+        "interval_low": [6e3, np.nan, np.nan, 0.12],
+        "interval_high": [np.inf, np.nan, np.nan, 0.14],
+        "verdict": ["weakly", "", "", "well"],
+    }
+    with h5py.File(export(sets, tmp_path / "x.h5")) as file:
+        stored = {key: file[f"parameters/{key}"] for key in wanted}
+        native = {key: (d.asstr() if key == "verdict" else d)[:].tolist() for key, d in stored.items()}
+    np.testing.assert_equal(native, wanted)
+    rows = scipy.io.loadmat(export(sets, tmp_path / "x.mat"), simplify_cells=True)["sysid"]["parameters"]
+    np.testing.assert_array_equal(rows["interval_low"], wanted["interval_low"])
+    np.testing.assert_array_equal(rows["interval_high"], wanted["interval_high"])
+    assert [str(np.squeeze(word)) if np.size(word) else "" for word in rows["verdict"]] == wanted["verdict"]
+    # A fit without intervals states none.
+    with h5py.File(export(made_sets(), tmp_path / "bare.h5")) as file:
+        assert not {*wanted} & {*file["parameters"]}
+
+
 def test_mat_is_a_structure_with_valid_names(tmp_path):
     odd = ParameterRecord("2 k-h", "k", "N/m", "fixed", "", "")
     twin = ParameterRecord("2_k_h", "k", "N/m", "fixed", "", "")
