@@ -31,6 +31,7 @@ from sysid.fit.stopping import CutReason, Deadline, StopFlag, StopRule, stop_on_
 from sysid.fit.store import check_new_fit, write_fit
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
+from sysid.parameter_sets import INTERVALS
 from sysid.trust.documents import with_intervals
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import sentences
@@ -137,7 +138,7 @@ def fit_campaign(
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
             judged = _judged(problem.fitted.exact, outcome)
             record = {**provenance(search, problem, folder), **expected, "adequacy": judged.model_dump()}
-            result = _result(model.name, problem, runs, outcome, record)
+            result = _result(model.name, problem, runs, _unread(outcome, judged), record)
             assessed = options.trust and outcome.cut is None
             # A spread of the sets beside an interval is a second claim; of a wrong model it is none.
             loose = loose_findings(runs, problem.space, not assessed and judged.verdict != NOT_BY)
@@ -194,6 +195,28 @@ def _judged(fitted: Problem, outcome: FitOutcome) -> Adequacy:
     if judged.verdict == EXPLAINED_BY:
         tell(judged.sentence)
     return judged
+
+
+def _unread(outcome: FitOutcome, judged: Adequacy) -> FitOutcome:
+    """Return an outcome whose settings give the verdict on what a bound cuts because the model is wrong.
+
+    The intervals of a trust replace it; without one no table and no export prints digits of it either.
+    """
+    cut = {
+        row.name: {
+            "interval_95": [row.lower, row.upper],
+            "open_95": [True, True],
+            "verdict": "not_interpretable",
+            "doubt": "the model does not explain the trials, and a bound cuts it",
+        }
+        for row in outcome.records
+        if row.name in judged.symptoms
+    }
+    if not cut:
+        return outcome
+    return replace(
+        outcome, settings={**outcome.settings, INTERVALS: {**outcome.settings.get(INTERVALS, {}), **cut}}
+    )
 
 
 def _expected(fitted: Problem) -> dict[str, Any]:

@@ -6,10 +6,12 @@ import pytest
 
 from fakes.lag_kind import write_lag
 from sysid.api import load_fit
+from sysid.errors import SysidWarning
 from sysid.fit import problem
 from sysid.trust import influence
 from sysid.trust.documents import TRUST, read_part
 from sysid.workflows import fit as walk
+from sysid.workflows.export_models import export_sets
 from sysid.workflows.options import FitOptions
 from sysid.workflows.show import print_fit
 
@@ -83,3 +85,21 @@ def test_show_says_it_above_its_tables(fit, run):
     out = run("show", done.folder)[1]
     assert out.count("not explained") == 1
     assert out.startswith("not explained: NRMSE ")
+
+
+def test_without_intervals_no_digits_of_a_symptom_are_printed_or_exported(fit, run, tmp_path):
+    done = fit(trust=False)
+    out = run("show", done.folder)[1]
+    rows = [line.split() for line in out.splitlines() if line.startswith(" τ [s]")]
+    assert [row[2:4] for row in rows[:2]] == [["not", "interpretable"]] * 2
+    assert "0.12*" not in out
+    (last,) = (line for line in done.printed if line.startswith("verdict: "))
+    assert "; no parameter is well known; not interpretable: time constant; " in last
+    with pytest.warns(SysidWarning, match="does not explain"):
+        (file,) = export_sets(done.folder, tmp_path / "sets.csv")
+    (row,) = (
+        line
+        for line in file.read_text(encoding="utf-8-sig").splitlines()
+        if line.startswith("parameter,time_constant")
+    )
+    assert ",not_interpretable," in row
