@@ -7,6 +7,7 @@
 `sysid.api` documents what is offered.
 """
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,11 @@ if TYPE_CHECKING:
     from sysid.parameter_sets import ParameterSets as ParameterSets
     from sysid.workflows.map_pictures import impulse_map as impulse_map
     from sysid.workflows.map_pictures import landing_map as landing_map
+
+# A fit's matrices are small: several threads of BLAS wait for one another, take up to twice the processor
+# time, and make the last bits depend on the number of cores. Without effect where numpy is loaded already.
+for _library in ("OPENBLAS", "MKL"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 __version__ = "0.1.0"
 # Imported on first use: `import sysid` stays light.

@@ -26,6 +26,18 @@ TERMS = {
     "pitch_drag": 0.004,          # moment against pitch [N·m·s²]
     "front_friction": 1.15,       # front feet's friction over the rear ones' [1]
 }  # fmt: skip
+# What they are called among the gear's parameters.
+NAMES = {
+    "spring_hardening": "leg_axial_hardening",
+    "bending_hardening": "leg_bending_hardening",
+    "slide_friction": "leg_slide_friction",
+    "joint_friction": "leg_joint_friction",
+    "front_stiffness": "front_leg_axial_stiffness_ratio",
+    "front_bending": "front_leg_bending_stiffness_ratio",
+    "ground_rate": "ground_rate_stiffening",
+    "pitch_drag": "pitch_drag",
+    "front_friction": "front_friction_excess",
+}
 _NAMES = tuple(TERMS)
 NONE = {name: 1.0 if name.startswith("front") else 0.0 for name in _NAMES}
 _ROWS = (
