@@ -20,6 +20,8 @@ from typing import Any, Literal, Self
 from sysid.errors import SysidWarning, printable
 
 Severity = Literal["note", "warning"]
+# How codes begin of findings about a campaign that contradicts its logs, or a vehicle that cannot be.
+_MISSTATED = ("contradicts-", "odd-")
 # Called with one sentence at a time.
 Say = Callable[[str], None] | None
 
@@ -151,7 +153,7 @@ class Journal:
             self.trials = trials
         waiting, self._waiting = self._waiting, []
         # What the campaign misstates comes before its symptoms.
-        for finding in sorted(folded(waiting), key=lambda one: not one.code.startswith("contradicts-")):
+        for finding in sorted(folded(waiting), key=lambda one: not one.code.startswith(_MISSTATED)):
             self._findings.append(finding)
             self._print(finding)
 
@@ -164,6 +166,11 @@ class Journal:
         """Return the lines of the findings of one severity."""
         chosen = [finding for finding in self.findings if finding.severity == severity]
         return [spoken(finding, self.trials, self.noun) for finding in chosen]
+
+    def blamed(self, refusal: str) -> str:
+        """Return a refusal, and behind it what the campaign misstates as its likely cause."""
+        causes = [str(finding) for finding in self.findings if finding.code.startswith(_MISSTATED)]
+        return f"{refusal}; the likely cause: {'; '.join(causes)}" if causes else refusal
 
     def _print(self, finding: Finding) -> None:
         sentence = spoken(finding, self.trials, self.noun)

@@ -36,6 +36,14 @@ _MANY = 8
 class Command(TyperCommand):
     """A command whose help shows many options under headings, as plain text."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the command line; typer calls this. What refuses a value is a sentence of its own."""
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options; typer calls this."""
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}

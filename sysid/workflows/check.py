@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.errors import FitError
 from sysid.fit.problem import Problem
 from sysid.fit.provenance import CampaignFile
 from sysid.journal import Journal, Say
@@ -51,7 +52,10 @@ def check_campaign(
             problem = whole.fitted.exact
             noise = problem.correlation()
             drawn = drawn_outlooks(problem, noise)
-            view, expected = expectations(problem, nominal_point(problem.space), noise, drawn)
+            try:
+                view, expected = expectations(problem, nominal_point(problem.space), noise, drawn)
+            except FitError as error:
+                raise FitError(journal.blamed(str(error))) from error
             weak = np.array([row.verdict != "well" for row in expected])
             candidates: tuple[Candidate, ...] = ()
             if weak.any():

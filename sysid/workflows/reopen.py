@@ -21,10 +21,12 @@ def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
     Raises `FitError` when it is not there.
     """
     stated = result.provenance.get("campaign", {})
-    path = given
-    if path is None:
-        stored = stated.get("from_fit_folder")
-        path = shown_from_here(folder / stored) if stored else None
+    if given is not None:
+        if not given.is_file():
+            raise FitError(f"{given}: no such campaign file; --campaign names the one of the fit {folder}")
+        return given
+    stored = stated.get("from_fit_folder")
+    path = shown_from_here(folder / stored) if stored else None
     if path is None or not path.is_file():
         name = f"its campaign {stated['file']!r} is not where it was" if stated else "it names no campaign"
         raise FitError(f"{folder}: {name}; put it there, or name it with --campaign")

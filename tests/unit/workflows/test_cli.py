@@ -347,11 +347,19 @@ def test_a_full_disk_during_a_fit_is_one_sentence(drops, tmp_path):
         subprocess.run(["umount", str(small)], check=True)
 
 
+def test_a_choice_that_there_is_not_is_refused_in_words_of_the_command_line(drops, run):
+    code, _, err = run("fit-gear", drops, "--finish", "lm")
+    assert code == 2
+    assert "'--finish': 'lm' is not one of 'least-squares', 'cmaes', 'none'" in err
+
+
 def test_a_mass_in_grams_called_kilograms_is_refused(drops, refused):
     edit(drops / "campaign.toml", '"1.242 kg"', '"1310 kg"')
     words = [
         "cannot be simulated at the values",
         "check the masses, lengths and units that the campaign states",
+        "; the likely cause: sqrt(body_inertia/body_mass) = ",
+        "; body_mass = 1310 kg with feet 184 mm from the centre of mass",
     ]
     err = refused(words, "check", drops / "campaign.toml")
     assert err.index("sqrt(body_inertia/body_mass)") < err.index("error: ")

@@ -137,6 +137,12 @@ def test_a_law_that_the_kind_does_not_know_is_refused(lag, refused):
     refused(words, "check", lag[0], "--surface", "hf")
 
 
+@pytest.mark.parametrize("verb", ["trust", "cross-validate", "ladder"])
+def test_a_campaign_that_is_not_there_is_refused_by_the_name_that_was_typed(lag, refused, verb):
+    words = f"nope.toml: no such campaign file; --campaign names the one of the fit {lag[1]}"
+    refused(words, verb, lag[1], "--campaign", "nope.toml")
+
+
 def test_its_report_and_exports_are_written(lag):
     folder = lag[1]
     page = write_report(folder, ReportOptions())["report"].read_text(encoding="utf-8")
