@@ -24,8 +24,10 @@ import numpy as np
 from fakes.foreign_gear import NAMES, NONE, TERMS, simulator
 from interval_coverage import Covered, judged
 from sysid.campaign import read_campaign
+from sysid.fit.adequacy import adequacy
 from sysid.fit.search import SearchSettings, run_one
 from sysid.synthetic import read_truth, synthesize_gear
+from sysid.trust.assessment import linearize
 from sysid.trust.ladder import Climber, Ladder
 from sysid.trust.terms import freed
 from sysid.workflows.kinds import find_kind
@@ -64,7 +66,7 @@ class Climbed:
         return [row.name for row in self.intervals if not row.inside]
 
 
-def climbed(seed: int, count: int, folder: Path) -> Climbed:
+def climbed(seed: int, count: int, folder: Path, intervals: bool = True) -> Climbed:
     """Synthesize drops with `count` foreign terms of at least half of their size, assess the fit, climb."""
     source = np.random.default_rng(seed)
     drawn = source.choice(sorted(set(NAMES) - {"front_friction"}), count, replace=False)
@@ -78,12 +80,16 @@ def climbed(seed: int, count: int, folder: Path) -> Climbed:
     ladder = Climber(fitted, start).climb(kind.terms)
     spent = time.process_time() - began
     errors = {name: ladder.best.values[name] / true[name] - 1 for name in WANTED}
-    assessed, intervals = judged(fitted.exact, true, start, freed(fitted, kind.terms))
-    wider = assessed.linear.information.sigma / assessed.noise.information.sigma
-    judgement = assessed.adequacy
+    covered, wider = [], np.ones(1)
+    if intervals:
+        assessed, covered = judged(fitted.exact, true, start, freed(fitted, kind.terms))
+        wider = assessed.linear.information.sigma / assessed.noise.information.sigma
+        judgement = assessed.adequacy
+    else:
+        judgement = adequacy(fitted, fitted.space.full(linearize(fitted, start).point[None])[0])
     return Climbed(
         ladder, tuple(NAMES[name] for name in drawn), errors, judgement.verdict,
-        max(judgement.ratio, judgement.misfit.channel_ratio), intervals,
+        max(judgement.ratio, judgement.misfit.channel_ratio), covered,
         (float(np.median(wider)), float(wider.max())), spent,
     )  # fmt: skip
 
@@ -94,12 +100,13 @@ def main() -> None:
     options.add_argument("--campaigns", type=int, default=20)
     options.add_argument("--first-seed", type=int, default=101)
     options.add_argument("--terms", "--foreign", type=int, choices=(0, 1, 3), default=1)
+    options.add_argument("--no-intervals", dest="intervals", action="store_false", help="the ladder alone")
     chosen = options.parse_args()
     first = near = explained = kept_none = inside = total = uninterpretable = 0
     words: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(chosen.first_seed, chosen.first_seed + chosen.campaigns):
-            result = climbed(seed, chosen.terms, Path(folder))
+            result = climbed(seed, chosen.terms, Path(folder), chosen.intervals)
             kept, errors, best = result.kept, result.errors, result.ladder.best
             first += bool(kept) and kept[0] in result.missing
             kept_none += not kept
