@@ -10,14 +10,14 @@ A decision is taken on `Finding.code`; the sentence is for people.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from sysid.errors import SysidWarning, printable
+from sysid.errors import FitError, LogError, SysidWarning, printable
 
 Severity = Literal["note", "warning"]
 # How codes begin of findings about a campaign that contradicts its logs, or a vehicle that cannot be.
@@ -167,10 +167,16 @@ class Journal:
         chosen = [finding for finding in self.findings if finding.severity == severity]
         return [spoken(finding, self.trials, self.noun) for finding in chosen]
 
-    def blamed(self, refusal: str) -> str:
-        """Return a refusal, and behind it what the campaign misstates as its likely cause."""
-        causes = [str(finding) for finding in self.findings if finding.code.startswith(_MISSTATED)]
-        return f"{refusal}; the likely cause: {'; '.join(causes)}" if causes else refusal
+    @contextmanager
+    def blaming(self) -> Iterator[None]:
+        """Put what the campaign misstates behind a refusal of its logs or values, as the likely cause."""
+        try:
+            yield
+        except (LogError, FitError) as error:
+            causes = [str(finding) for finding in self.findings if finding.code.startswith(_MISSTATED)]
+            if not causes:
+                raise
+            raise type(error)(f"{error}; the likely cause: {'; '.join(causes)}") from error
 
     def _print(self, finding: Finding) -> None:
         sentence = spoken(finding, self.trials, self.noun)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from sysid.errors import FitError
 from sysid.fit.problem import Problem
 from sysid.fit.provenance import CampaignFile
 from sysid.journal import Journal, Say
@@ -43,7 +42,7 @@ def check_campaign(
     with naming_campaign(path):
         law = {} if surface is None else {"surface": surface}
         kind, campaign, ignored = open_campaign(path, law=law)
-        with Journal(say, kind.words.trials) as journal:
+        with Journal(say, kind.words.trials) as journal, journal.blaming():
             for finding in ignored:
                 journal.add(finding)
             whole = kind.open(campaign, path, threads)
@@ -52,10 +51,7 @@ def check_campaign(
             problem = whole.fitted.exact
             noise = problem.correlation()
             drawn = drawn_outlooks(problem, noise)
-            try:
-                view, expected = expectations(problem, nominal_point(problem.space), noise, drawn)
-            except FitError as error:
-                raise FitError(journal.blamed(str(error))) from error
+            view, expected = expectations(problem, nominal_point(problem.space), noise, drawn)
             weak = np.array([row.verdict != "well" for row in expected])
             candidates: tuple[Candidate, ...] = ()
             if weak.any():

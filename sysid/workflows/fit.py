@@ -118,7 +118,7 @@ def fit_campaign(
     with Journal(say, model.words.trials) as journal, ExitStack() as until_done, ExitStack() as until_written:
         try:
             progress = FitProgress(search, model.words.trials, options.quiet)
-            with naming_campaign(path):
+            with naming_campaign(path), journal.blaming():
                 for finding in ignored:
                     journal.add(finding)
                 problem = model.open(campaign, path, options.threads)
@@ -126,7 +126,8 @@ def fit_campaign(
                 model.begin(problem)
             journal.fold(len(problem.trials))
             fitted = problem.fitted
-            expected = _expected(fitted, journal) if options.check else {}
+            with journal.blaming():
+                expected = _expected(fitted) if options.check else {}
             limited = replace(search, stop=replace(search.stop, time_limit=deadline.left))
             identity, candidate_time = _identity(search, problem, fitted)
             checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
@@ -219,13 +220,12 @@ def _unread(outcome: FitOutcome, judged: Adequacy) -> FitOutcome:
     )
 
 
-def _expected(fitted: Problem, journal: Journal) -> dict[str, Any]:
+def _expected(fitted: Problem) -> dict[str, Any]:
     """Tell what the trials are expected to determine, and return it for the provenance."""
     try:
         rows = quick_expectations(fitted)
     except FitError as error:
-        refusal = f"{error}, or leave the check before a fit out with --no-check"
-        raise FitError(journal.blamed(refusal)) from error
+        raise FitError(f"{error}, or leave the check before a fit out with --no-check") from error
     for sentence in sentences(rows):
         tell(f"expected: {sentence}")
     return {"expected": [parameter.model_dump() for parameter in rows]}

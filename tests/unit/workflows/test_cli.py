@@ -347,6 +347,17 @@ def test_a_full_disk_during_a_fit_is_one_sentence(drops, tmp_path):
         subprocess.run(["umount", str(small)], check=True)
 
 
+def test_a_slope_that_lifts_the_board_over_a_foot_is_the_likely_cause(drops, refused):
+    edit(drops / "campaign.toml", '"15 deg"', '"20 deg"')
+    words = (
+        "trial 'drop-3': a foot is ",
+        "check the slope",
+        "; the likely cause: drop-3: the campaign states slope",
+    )
+    for verb in ("check", "fit-gear"):
+        assert refused(words, verb, drops, "--quiet").count("20.0 deg, the log shows 15.0 deg") == 1
+
+
 def test_a_choice_that_there_is_not_is_refused_in_words_of_the_command_line(drops, run):
     code, _, err = run("fit-gear", drops, "--finish", "lm")
     assert code == 2
