@@ -10,7 +10,7 @@ left is needed. A term is needed where
 * with it the trials left out are predicted better on average.
 
 All kept terms together must also predict the trials left out better than the fit's model by more than
-chance. To leave out is to fit again without each trial in turn, or each part of one (`Problem.pieces`). A
+chance. Where no value is certain, a term is kept that does so alone. To leave out is to fit again without each trial in turn, or each part of one (`Problem.pieces`). A
 trial's gain is the logarithm of the factor by which its residual over noise falls, root mean square over its
 channels: in NRMSE velocities, which are mostly noise, hide what a term does to the positions. If a term buys
 nothing, every gain may as well have the other sign: the chance is the share of all sign changes under which
@@ -125,6 +125,7 @@ class Climber:
                 f"{FEWEST} or more; fit more trials"
             )
         self.evaluations = 0
+        self._found: dict[Term, Mapping[str, float]] = {}
         self._say = say or (lambda sentence: None)
         self._floors = problem.floors(problem.space.full(start[None])[0])
         self._problem, self._start = problem, start
@@ -137,13 +138,17 @@ class Climber:
             self._say(f"{term.title}: fitted, and fitted without each trial")
             alone.append(self._left_out(self._alone(base, term)))
         alone = _judged(alone, base)
+        self._found = {rung.terms[0]: rung.values for rung in alone}
         self._say(f"all {len(terms)} terms fitted together, and again without each that is not needed")
         together = self._together(base, alone)
-        keep = together[-1].terms if together else ()
+        if not together:
+            # Under misfit no value may be certain, and the trials left out may still show a term.
+            most = max(alone, key=lambda rung: rung.gain)
+            together = [replace(most, kept=_needed(most))]
+        keep = together[-1].terms if together[-1].kept else ()
         alone = [replace(rung, kept=rung.terms[0] in keep) for rung in alone]
         less = tuple(self._less(base, title, problem) for title, problem in simpler)
-        most = max(alone, key=lambda rung: rung.gain)
-        return Ladder(base, tuple(alone), tuple(together or [most]), less, self.evaluations)
+        return Ladder(base, tuple(alone), tuple(together), less, self.evaluations)
 
     def _less(self, base: TermFit, title: str, problem: Problem) -> TermFit:
         """Return a simpler model with what the base gains over it."""
@@ -151,8 +156,7 @@ class Climber:
         starts = starts_near(problem.space, base.values)
         rung = self._left_out(self._fitted((Term(title, ()),), problem, starts))
         over = _judged([base], rung)[0]
-        needed = over.chance < CHANCE and over.gain > LEAST_GAIN
-        return replace(rung, gain=over.gain, chance=over.chance, kept=needed)
+        return replace(rung, gain=over.gain, chance=over.chance, kept=_needed(over))
 
     def _alone(self, base: TermFit, term: Term) -> TermFit:
         problem = freed(self._problem, (term,))
@@ -201,10 +205,13 @@ class Climber:
         return replace(rung, terms=tuple(rung.terms[i] for i in order)), [chances[i] for i in order]
 
     def _without_last(self, rung: TermFit) -> TermFit:
-        """Return a rung fitted without its last term, from where it is."""
-        terms = rung.terms[:-1]
+        """Return a rung fitted without its last term, from where it is and from where the others end alone."""
+        terms, alone = rung.terms[:-1], dict(rung.values)
+        for term in reversed(terms):
+            alone |= self._found[term]
         problem = freed(self._problem, terms)
-        return self._fitted(terms, problem, placed(self._problem, problem, rung.values)[None])
+        starts = [placed(self._problem, problem, values) for values in (rung.values, alone)]
+        return self._fitted(terms, problem, np.array(starts))
 
     def _fitted(self, terms: tuple[Term, ...], problem: Problem, starts: FloatArray) -> TermFit:
         return self._rated(terms, problem, *downhill(problem, starts))
@@ -254,6 +261,10 @@ def starts_near(space: SearchSpace, values: Mapping[str, float]) -> FloatArray:
 
 def _gains(rung: TermFit, below: TermFit) -> FloatArray:
     return np.asarray(np.log(below.misfit / rung.misfit))
+
+
+def _needed(rung: TermFit) -> bool:
+    return rung.chance < CHANCE and rung.gain > LEAST_GAIN
 
 
 def _judged(rungs: Sequence[TermFit], below: TermFit) -> list[TermFit]:
