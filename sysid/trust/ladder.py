@@ -10,13 +10,13 @@ left is needed. A term is needed where
 * with it the trials left out are predicted better on average.
 
 All kept terms together must also predict the trials left out better than the fit's model by more than
-chance. Where no value is certain, a term is kept that does so alone. To leave out is to fit again without each
-trial in turn, or each part of one (`Problem.pieces`). A trial's gain is the logarithm of the factor by which
-its residual over noise falls, root mean square over its channels: in NRMSE velocities, which are mostly noise,
-hide what a term does to the positions. If a term buys nothing, every gain may as well have the other sign: the
-chance is the share of all sign changes under which the best of the terms looked at gains as much on average
-(max-statistic, Westfall & Young 1993). Simpler models of a kind are judged so, the fit's model as what it adds
-to each.
+chance. Where no value is certain, a term is kept that does so alone. To leave out is to fit again without
+each trial in turn, or each part of one (`Problem.pieces`). A trial's gain is the logarithm of the factor by
+which its residual over noise falls, root mean square over its channels: in NRMSE velocities, which are
+mostly noise, hide what a term does to the positions. If a term buys nothing, every gain may as well have the
+other sign: the chance is the share of all sign changes under which the best of the terms looked at gains as
+much on average (max-statistic, Westfall & Young 1993). Simpler models of a kind are judged so, the fit's
+model as what it adds to each.
 """
 
 from __future__ import annotations

@@ -14,8 +14,9 @@ noise moves the start of its drop-5 past a fork of the bounces, and the fit bend
 the farthest of the other campaigns moves by 4.1.
 
 The verdict: of twenty right models 19 are "explained", with 1.03 to 1.13 times the noise in their worst
-channel (seed 1011: 2.9 times in x). Of one foreign term, seeds 201 to 212, ten are "not explained" (1.8 to 27 times);
-two are "explained" with 1.04 and 1.05 times: a ground that stiffens with speed, which no channel shows.
+channel (seed 1011: 2.9 times in x). Of one foreign term, seeds 201 to 212, ten are "not explained" (1.8 to
+27 times); two are "explained" with 1.04 and 1.05 times: a ground that stiffens with speed, which no channel
+shows.
 
 Motors, seeds 2001 to 2020: R is inside in 19 of 20 and L in 18, with errors of 0.85 and 1.06 times what is
 stated; k_d is not identifiable in any.
