@@ -32,7 +32,9 @@ _STATEMENT = (
     "the mean NRMSE is minimized by a weighted sum of squares, one noise level per trial and channel "
     "(its NRMSE); the rise of that sum along a profile is divided by the parameter's inflation, which "
     "accounts for the correlation of the residuals in time and between channels and for the uncertainty of "
-    "what the fit takes as known, so that it follows chi-square with one degree of freedom"
+    "what the fit takes as known, so that it follows chi-square with one degree of freedom; where noise does "
+    "not explain the trials, an interval also contains what misfit leaves open, and where the parameter goes "
+    "in a search with all terms that the model may lack"
 )
 _ENDS = ("interval_68", "interval_95", "open_68", "open_95")
 # Relative to the standard deviation of the linearization: farther apart is worth a word.
