@@ -66,7 +66,7 @@ from sysid.report.html import (
     side_by_side,
     unfoldable,
 )
-from sysid.report.ladder import conclusion, figure_rungs, rungs_table
+from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_table
 from sysid.report.plots import Panel, interactive
 from sysid.report.set_tables import adequacy_table, ladder_table, mean_sigma_table, ranked_table, trial_table
 from sysid.report.traces import trial_view
@@ -488,7 +488,8 @@ class FitReport:
             drawn = picture(figure_rungs(self.climbed), what, "What each term buys.")
             return (
                 bullets(conclusion(self.climbed))
-                + markup_table(rungs_table(self.climbed, self.trust))
+                + markup_table(rungs_table(self.climbed))
+                + markup_table(moves_table(self.climbed, self.trust))
                 + drawn
             )
         sets = self.fit.parameter_sets()

@@ -66,13 +66,9 @@ def _changes(document: Row, rung: Row, lost: set[str]) -> str:
     return ", ".join([*new, *(f"{symbols[name]} {100 * moved[name]:+.0f} %" for name in far[:_MOST])])
 
 
-def rungs_table(document: Row, trust: Row | None = None) -> Table:
-    """Return what each term buys on what was left out, and how the parameters move.
-
-    Parameters that `trust`, the intervals of the fit, calls not identifiable may move as they like.
-    """
+def rungs_table(document: Row) -> Table:
+    """Return what each term buys on what was left out."""
     base = document["base"]
-    lost = {row["name"] for row in (trust or {}).get("parameters", ()) if row["verdict"].startswith("not_")}
 
     def kept(row: tuple[str, Row]) -> Cell:
         rung = row[1]
@@ -96,13 +92,28 @@ def rungs_table(document: Row, trust: Row | None = None) -> Table:
             numbers("gain", lambda row: percent(_gain(row[1]), 1), "%"),
             numbers("chance", lambda row: _chance(row[1])),
             words("keep", kept),
-            words("values, moves", lambda row: "" if row[1] is base else _changes(document, row[1], lost)),
         ),
         "NRMSE, misfit: over noise; misfit: root mean square over the channels, of "
         f"{_left_out(document)} as the fit of the others predicts it, and mean over all; gain: the share of "
-        f"it that goes; chance: {'; '.join(chances)}, for all terms looked at{simpler}; moves: of "
-        "identifiable parameters, 1 % and more",
+        f"it that goes; chance: {'; '.join(chances)}, for all terms looked at{simpler}",
     )  # fmt: skip
+
+
+def moves_table(document: Row, trust: Row | None = None) -> Table:
+    """Return the values of every term, and how the parameters move with it.
+
+    Parameters that `trust`, the intervals of the fit, calls not identifiable may move as they like.
+    """
+    lost = {row["name"] for row in (trust or {}).get("parameters", ()) if row["verdict"].startswith("not_")}
+    return table(
+        "Values of the terms, and how the parameters move with them",
+        [row for row in _rows(document) if row[1] is not document["base"]],
+        (
+            words("term", lambda row: row[0]),
+            words("values, moves", lambda row: _changes(document, row[1], lost)),
+        ),
+        "moves: of identifiable parameters, 1 % and more; the four largest",
+    )
 
 
 def figure_rungs(document: Row) -> Figure:
@@ -137,7 +148,7 @@ def conclusion(document: Row) -> list[str]:
         return [f"keep {', '.join(keep)}", *lacking]
     if not lacking:
         return [
-            "no term predicts what was left out better than chance, and noise explains the fit: keep the "
+            "noise explains the fit, and no term is certain where all others are fitted beside it: keep the "
             "model"
         ]
     nearest = document["together"][0]
@@ -155,7 +166,8 @@ def print_rungs(
 ) -> None:
     """Print a ladder, what to conclude, and further lines; draw it where a picture is asked for."""
     if not print_result(document, json):
-        print_table(rungs_table(document, trust))
+        print_table(moves_table(document, trust))
+        print_table(rungs_table(document))
         print_lines([*conclusion(document), *lines])
         print_lines([f"{document['evaluations']} simulations in {document['seconds']:.0f} s"])
     if picture is not None:

@@ -10,13 +10,13 @@ left is needed. A term is needed where
 * with it the trials left out are predicted better on average.
 
 All kept terms together must also predict the trials left out better than the fit's model by more than
-chance. Where no value is certain, a term is kept that does so alone. To leave out is to fit again without
-each trial in turn, or each part of one (`Problem.pieces`). A trial's gain is the logarithm of the factor by
-which its residual over noise falls, root mean square over its channels: in NRMSE velocities, which are
-mostly noise, hide what a term does to the positions. If a term buys nothing, every gain may as well have the
-other sign: the chance is the share of all sign changes under which the best of the terms looked at gains as
-much on average (max-statistic, Westfall & Young 1993). Simpler models of a kind are judged so, the fit's
-model as what it adds to each.
+chance. Where noise does not explain the trials and no value is certain, a term is kept that does so alone.
+To leave out is to fit again without each trial in turn, or each part of one (`Problem.pieces`). A trial's
+gain is the logarithm of the factor by which its residual over noise falls, root mean square over its
+channels: in NRMSE velocities, which are mostly noise, hide what a term does to the positions. If a term buys
+nothing, every gain may as well have the other sign: the chance is the share of all sign changes under which
+the best of the terms looked at gains as much on average (max-statistic, Westfall & Young 1993). Simpler
+models of a kind are judged so, the fit's model as what it adds to each.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from sysid.errors import FitError
+from sysid.fit.adequacy import EXPLAINED_BY, adequacy
 from sysid.fit.problem import Problem, Term
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
@@ -145,7 +146,9 @@ class Climber:
         if not together:
             # Under misfit no value may be certain, and the trials left out may still show a term.
             most = max(alone, key=lambda rung: rung.gain)
-            together = [replace(most, kept=_needed(most))]
+            row = self._problem.space.full(base.point[None])[0]
+            wrong = adequacy(self._problem, row).verdict != EXPLAINED_BY
+            together = [replace(most, kept=wrong and _needed(most))]
         keep = together[-1].terms if together[-1].kept else ()
         alone = [replace(rung, kept=rung.terms[0] in keep) for rung in alone]
         less = tuple(self._less(base, title, problem) for title, problem in simpler)
