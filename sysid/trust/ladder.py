@@ -9,14 +9,14 @@ left is needed. A term is needed where
   (Bonferroni), and
 * with it the trials left out are predicted better on average.
 
-All kept terms together must also predict the trials left out better than the fit's model by more than
-chance. Where noise does not explain the trials and no value is certain, a term is kept that does so alone.
-To leave out is to fit again without each trial in turn, or each part of one (`Problem.pieces`). A trial's
-gain is the logarithm of the factor by which its residual over noise falls, root mean square over its
-channels: in NRMSE velocities, which are mostly noise, hide what a term does to the positions. If a term buys
-nothing, every gain may as well have the other sign: the chance is the share of all sign changes under which
-the best of the terms looked at gains as much on average (max-statistic, Westfall & Young 1993). Simpler
-models of a kind are judged so, the fit's model as what it adds to each.
+Where noise does not explain the trials and no value is certain, a term is kept that alone predicts the
+trials left out better by more than chance. To leave out is to fit again without each trial in turn, or each
+part of one (`Problem.pieces`). A trial's gain is the logarithm of the factor by which its residual over
+noise falls, root mean square over its channels: in NRMSE velocities, which are mostly noise, hide what a
+term does to the positions. If a term buys nothing, every gain may as well have the other sign: the chance is
+the share of all sign changes under which the best of the terms looked at gains as much on average
+(max-statistic, Westfall & Young 1993). Simpler models of a kind are judged so, the fit's model as what it
+adds to each.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ from sysid.trust.problem import nrmse_of, scales
 from sysid.trust.terms import TOLERANCE, downhill, freed, placed, searched
 from sysid.types import FloatArray
 
-# A term is kept up to this probability of chance, if it buys at least this of the noise [1].
-CHANCE, LEAST_GAIN = 0.05, 0.01
+# A term is kept up to this probability of chance, if it buys at least this of the noise [1]. A chance that the
+# covariance of a few trials states is itself uncertain: it must be smaller.
+CHANCE, CERTAIN, LEAST_GAIN = 0.05, 1e-3, 0.01
 # Of five trials one in 32 sign changes has all gains above zero: fewer cannot show what is no chance.
 FEWEST = 5
 # Sign changes that are looked at, at most.
@@ -170,19 +171,19 @@ class Climber:
         return self._fitted((term,), problem, starts)
 
     def _together(self, base: TermFit, alone: Sequence[TermFit]) -> list[TermFit]:
-        """Return the terms to keep, one more on each rung, the most certain first; none if chance does it."""
+        """Return the terms to keep, one more on each rung, the most certain first."""
         terms = tuple(rung.terms[0] for rung in alone)
         problem = freed(self._problem, terms)
         rung = self._rated(terms, problem, *searched(problem))
         while rung.terms:
             rung, chances = self._by_certainty(rung, len(terms))
             below = self._without_last(rung)
-            if chances[-1] < CHANCE:
+            if chances[-1] < CERTAIN:
                 rung, below = self._left_out(rung), self._left_out(below)
                 if _gains(rung, below).mean() > LEAST_GAIN:
                     break
             rung = below
-        if not rung.terms or _judged([rung], base)[0].chance >= CHANCE:
+        if not rung.terms:
             return []
         rungs = [rung]
         while len(rungs[0].terms) > 1:
