@@ -38,8 +38,8 @@ from sysid.trust.problem import nrmse_of, scales
 from sysid.trust.terms import TOLERANCE, downhill, freed, placed, searched
 from sysid.types import FloatArray
 
-# A term is kept up to this probability of chance, if it buys at least this of the noise [1]. A chance that the
-# covariance of a few trials states is itself uncertain: it must be smaller.
+# A term is kept up to this probability of chance, if it gains at least this [1]. A chance that the covariance
+# of a few trials states is itself uncertain: it must be smaller.
 CHANCE, CERTAIN, LEAST_GAIN = 0.05, 1e-3, 0.01
 # Of five trials one in 32 sign changes has all gains above zero: fewer cannot show what is no chance.
 FEWEST = 5
