@@ -196,7 +196,7 @@ class Climber:
     def _by_certainty(self, rung: TermFit, looked_at: int) -> tuple[TermFit, list[float]]:
         """Sort a rung's terms, the most certain first; return the chance of each that its value is none."""
         linear, space = linearize_widened(rung.problem, rung.point), rung.problem.space
-        rung = replace(rung, point=linear.point)
+        rung = self._rated(rung.terms, rung.problem, linear.point, 0)
         wald, chances = [], []
         for term in rung.terms:
             of = [space.names.index(name) for name in term.parameters]
