@@ -222,7 +222,7 @@ def test_campaigns_without_unseen_trials_or_file_are_refused(fit, three, tmp_pat
     seen.write_text(text, encoding="utf-8")
     with pytest.raises(FitError, match="sysid cross-validate"):
         validate_fit(fit, seen)
-    with pytest.raises(FitError, match="name it with --campaign"):
+    with pytest.raises(FitError, match="no such campaign file; --campaign names the one of the fit"):
         open_fit(fit, tmp_path / "gone.toml")
 
 
