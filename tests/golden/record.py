@@ -11,6 +11,9 @@ import sys
 import time
 from pathlib import Path
 
+import sysid  # noqa: F401  before numpy, as in `tests/conftest.py`
+
+# isort: split
 import subjects
 
 VALUES = Path(__file__).resolve().parent / "values"
