@@ -8,6 +8,19 @@ the errors of the parameters with the terms kept, the verdict on the base model,
 intervals contain the truth or are declared not interpretable, and by how much misfit widens them (1 where
 noise explains the drops). Without foreign terms the model is right. Foreign terms come from
 `fakes.foreign_gear`, which has no code of the kernel and smooths dry friction in another way.
+
+Measured on low friction, 26 to 33 s of processor time a ladder:
+
+| truth | seeds | first term right | NRMSE within 1.15 x noise | parameters within 3 and 8 % |
+|---|---|---:|---:|---:|
+| one foreign term | 101 to 120 | 16 of 20 | 20 | 20 |
+| three foreign terms | 301 to 320 | 20 of 20 | 20 | 18 |
+
+The four misses are a ground that stiffens with speed, which these drops do not show: the base is "explained"
+there, and its parameters are right. k_t of two campaigns with three terms is 3.1 and 3.2 % off. "Explained"
+is said of no other campaign with a foreign term. Of ten right models (seeds 401 to 410) none keeps a term.
+Under three terms all 160 intervals of the base model contain the truth, 75 of them not interpretable;
+without the reach to where all terms lead, 148 did.
 """
 
 from __future__ import annotations
