@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 # A fit's matrices are small: several threads of BLAS wait for one another, take up to twice the processor
 # time, and make the last bits depend on the number of cores. Without effect where numpy is loaded already.
-for _library in ("OPENBLAS", "MKL"):
+for _library in ("OPENBLAS", "MKL", "VECLIB_MAXIMUM"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 __version__ = "0.1.0"

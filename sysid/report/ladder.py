@@ -140,16 +140,16 @@ def conclusion(document: Row) -> list[str]:
     keep, judged = document["keep"], document["adequacy"]
     worst = judged["misfit"]
     lacks = (
-        f"the model still lacks something: {judged['ratio']:.2f} × the noise is left, "
-        f"{worst['channel_ratio']:.2f} × in {worst['channel']}"
+        f"the model still lacks something: without errors of known values {judged['ratio']:.2f} × the noise "
+        f"is left, {worst['channel_ratio']:.2f} × in {worst['channel']}"
     )
     lacking = [] if judged["verdict"] == EXPLAINED_BY else [lacks]
     if keep:
         return [f"keep {', '.join(keep)}", *lacking]
     if not lacking:
         return [
-            "noise explains the fit, and no term is certain where all others are fitted beside it: keep the "
-            "model"
+            "noise explains the fit, and no term is both certain beside the others and of use for what was "
+            "left out: keep the model"
         ]
     nearest = document["together"][0]
     return [

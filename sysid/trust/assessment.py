@@ -19,7 +19,7 @@ from sysid.trust.linearized import Linearized, linearized, noise_model
 from sysid.trust.misfit import not_narrower, widened
 from sysid.trust.problem import nrmse_of, scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
-from sysid.trust.terms import searched
+from sysid.trust.terms import placed, searched
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray, IntArray
 
@@ -167,7 +167,9 @@ def assess(
         others = [linear]
         if wider is not None and len(wider.space.free) > len(start):
             tell("all terms that the model may lack, fitted together")
-            others.append(linearize_widened(wider.exact, searched(wider)[0]))
+            values = dict(zip(problem.space.names, problem.space.decode(linear.point).tolist(), strict=True))
+            far, _ = searched(wider, placed(problem, wider, values))
+            others.append(linearize_widened(wider.exact, far))
         walked = not_narrower(walked, problem.space, others)
     resampled = None
     if resamples > 0 and len(problem.trials) >= FEWEST:

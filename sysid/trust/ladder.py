@@ -7,7 +7,7 @@ left is needed. A term is needed where
 * its value differs from none by more than chance: a Wald test with the covariance of
   `sysid.trust.linearized`, with misfit as in `sysid.trust.misfit`, times the number of terms looked at
   (Bonferroni), and
-* with it the trials left out are predicted better on average.
+* with the least certain one, too, the trials left out are predicted better on average.
 
 Where noise does not explain the trials and no value is certain, a term is kept that alone predicts the
 trials left out better by more than chance. To leave out is to fit again without each trial in turn, or each
@@ -142,7 +142,7 @@ class Climber:
             alone.append(self._left_out(self._alone(base, term)))
         alone = _judged(alone, base)
         self._found = {rung.terms[0]: rung.values for rung in alone}
-        self._say(f"all {len(terms)} terms fitted together, and again without each that is not needed")
+        self._say("all terms fitted together, and again without each that is not needed")
         together = self._together(base, alone)
         if not together:
             # Under misfit no value may be certain, and the trials left out may still show a term.
@@ -174,7 +174,8 @@ class Climber:
         """Return the terms to keep, one more on each rung, the most certain first."""
         terms = tuple(rung.terms[0] for rung in alone)
         problem = freed(self._problem, terms)
-        rung = self._rated(terms, problem, *searched(problem))
+        start = placed(self._problem, problem, base.values)
+        rung = self._rated(terms, problem, *searched(problem, start))
         while rung.terms:
             rung, chances = self._by_certainty(rung, len(terms))
             below = self._without_last(rung)

@@ -47,10 +47,11 @@ def downhill(
     return fronts.points[0].copy(), evaluations
 
 
-def searched(problem: Problem) -> tuple[FloatArray, int]:
-    """Return the best point (n,) [unit cube] of one run of the default search, and the scored points.
+def searched(problem: Problem, point: FloatArray) -> tuple[FloatArray, int]:
+    """Return where a default search or a known point (n,) [unit cube] leads, and the scored points.
 
-    With all terms free the minimum near the fit is often not the least one.
+    With all terms free the minimum near a fit is often not the least one.
     """
     run = run_one(problem, SearchSettings(runs=1))
-    return run.best_point, run.evaluations
+    best, evaluations = downhill(problem, np.stack([run.best_point, point]))
+    return best, run.evaluations + evaluations

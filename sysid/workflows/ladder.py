@@ -48,6 +48,7 @@ def climb_and_print(
         opened = open_fit(folder, campaign, threads)
         if adopt is not None:
             _check_adopting(opened, adopt, force)
+        trust = read_part(opened.folder, TRUST)
         document = climb_ladder(opened, journal)
     lines = []
     try:
@@ -56,13 +57,13 @@ def climb_and_print(
         elif document["keep"]:
             lines.append("--adopt FILE writes a campaign with what to keep")
     finally:
-        print_rungs(document, read_part(opened.folder, TRUST), lines, json, figure)
+        print_rungs(document, trust, lines, json, figure)
 
 
 def climb_ladder(opened: OpenedFit, journal: Journal) -> dict[str, Any]:
     """Climb the ladder of a fit; store and return the document. FitError where there is none to climb."""
     began = time.perf_counter()
-    terms = [t for t in opened.kind.terms if not set(t.parameters) <= set(opened.space.names)]
+    terms = opened.terms
     if not terms:
         raise FitError(
             f"{opened.folder}: no further term is declared for a {opened.kind.name} fit of these free "

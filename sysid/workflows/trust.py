@@ -76,7 +76,10 @@ def assess_fit(
         lacks = judged.verdict == NOT_BY
         without = opened.space.decode(trials.without)
         _notice_trials(problem.names, without, trials, rows, opened.kind.words, lacks)
-        said = {one["code"]: one["sentence"] for one in opened.result.provenance.get("findings", ())}
+        record = opened.result.provenance
+        same_file = record.get("campaign", {}).get("sha256") == opened.stated["sha256"]
+        findings = record.get("findings", ()) if same_file else ()
+        said = {one["code"]: one["sentence"] for one in findings}
         for finding in misfit_finding(judged):
             # Where the fit has said so its numbers stay: they are of its best set.
             same = said.get(finding.code) if not finding.trials else None

@@ -35,8 +35,8 @@ and 12.9 % in MuJoCo (12.1 % at steps of 0.1 ms).
 In its own model the staged peer ends at 9.8 % from three of the five starts on LF, below the truth's 12.9 %:
 its contact law is another one, and the parameters bend to it. What the peer does better: it identifies
 whatever MJCF describes, in space and with any sensor, and needs no kernel of its own; ours knows this gear
-only. It also takes a third to a tenth of our drops; its time goes into rebuilding the models and into small
-steps.
+only. It also takes a fourteenth to two fifths of our drops; its time goes into rebuilding the models and
+into small steps.
 """
 
 import argparse

@@ -59,6 +59,8 @@ def test_three_missing_terms_are_found_and_intervals_without_them_contain_the_tr
         problem, true, start = fitted(tmp_path / str(seed), seed, foreign)
         climbed(problem, true, start, [NAMES[name] for name in foreign])
         found = assess(problem.exact, start, wider=freed(problem, terms), resamples=0)
+        assert found.adequacy.verdict == "not_explained"
+        assert "well" not in found.verdicts
         for profile, word in zip(found.profiles.profiles, found.verdicts, strict=True):
             low, high = profile.interval_95
             inside.append(low <= true[profile.name] <= high or word == "not_interpretable")
@@ -69,6 +71,9 @@ def test_three_missing_terms_are_found_and_intervals_without_them_contain_the_tr
 def test_a_ladder_finds_front_legs_that_hide_in_the_nrmse(tmp_path):
     # NRMSE is 1.02 times the noise without the term; the positions are off by 2 times their noise.
     missing = "front_leg_bending_stiffness_ratio"
-    ladder = climbed(*fitted(tmp_path, 116, {"front_bending": 1.06}), [missing])
+    problem, true, start = fitted(tmp_path, 116, {"front_bending": 1.06})
+    ladder = climbed(problem, true, start, [missing])
     assert ladder.base.ratio < 1.1
     assert [term.parameters for term in ladder.best.terms] == [(missing,)]
+    for name in ("leg_axial_damping", "leg_bending_damping"):
+        assert ladder.best.values[name] == pytest.approx(true[name], rel=0.03)

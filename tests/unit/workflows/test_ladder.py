@@ -201,12 +201,17 @@ def test_terms_are_shown_by_what_judges_them_and_with_the_moves_that_mean_someth
 
 
 def test_a_conclusion_never_calls_a_wrong_model_right():
-    said = conclusion(ladder_of(keep=()))
+    document = ladder_of(keep=())
+    document["together"][0]["chance"] = 0.2
+    said = conclusion(document)
     assert said[0] == (
-        "7 trials cannot show which term is missing; the nearest is slide rubs dry, with a chance of 0.02 "
+        "7 trials cannot show which term is missing; the nearest is slide rubs dry, with a chance of 0.2 "
         "and a gain of 25.0 %"
     )
-    assert said[1] == "the model still lacks something: 1.40 × the noise is left, 1.80 × in q_B"
+    assert said[1] == (
+        "the model still lacks something: without errors of known values 1.40 × the noise is left, 1.80 × in "
+        "q_B"
+    )
     assert "fit more trials" in said[2]
     assert "7 parts of trials cannot" in conclusion(ladder_of(keep=(), parts=True))[0]
     assert conclusion(ladder_of(keep=(), verdict=EXPLAINED_BY))[-1].endswith("keep the model")
