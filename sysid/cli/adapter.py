@@ -37,7 +37,7 @@ class Command(TyperCommand):
     """A command whose help shows many options under headings, as plain text."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the command line; typer calls this. What refuses a value is a sentence of its own."""
+        """Read the command line; typer calls this. A refusal loses the prefix of pydantic."""
         try:
             return super().parse_args(ctx, args)
         except typer.BadParameter as error:

@@ -79,7 +79,8 @@ def rungs_table(document: Row) -> Table:
         return Cell("yes", "good") if rung["kept"] else Cell("no")
 
     chances = ["of a term alone, that its gain is luck"]
-    if document["keep"]:
+    # A term that is kept because of its gain alone has the chance of that gain.
+    if document["keep"] and document["together"][-1] not in document["alone"]:
         chances.append("of a kept one, that its value beside the others is none but for luck")
     simpler = "; of a simpler model: of the fit's model over it" if document["simpler"] else ""
     return table(

@@ -198,6 +198,10 @@ def test_terms_are_shown_by_what_judges_them_and_with_the_moves_that_mean_someth
     np.testing.assert_allclose(bars.get_xdata(), 2.4)
     assert "each trial as" in rungs_table(document).caption
     assert "each part of a trial as" in rungs_table({**document, "parts": True}).caption
+    # The kept term of this ladder is the one that was fitted alone; the other has a chance of its own.
+    assert "beside the others" not in rungs_table(document).caption
+    beside = [{**document["together"][0], "chance": 1e-9}]
+    assert "beside the others" in rungs_table({**document, "together": beside}).caption
 
 
 def test_a_conclusion_never_calls_a_wrong_model_right():
