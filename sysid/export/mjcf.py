@@ -20,7 +20,7 @@ except that the damper acts while the foot comes out as well. Friction has a ref
 ``mu_k F_n`` a slipping foot feels ``B v/R``. Low friction (8) wants ``mu_k N_0/eps_v`` near zero slip, with
 the standing drone's load ``N_0``; MuJoCo's slope cannot follow the load of a bounce. That is all that
 separates a drop from the kernel's: with (8) as an applied force 0.1 to 0.2 % NRMSE is left
-(tests/benchmarks/mujoco_contact.py). On the six sample drops, whose noise costs 8.2 %, the truth scores
+(tests/benchmarks/engine.md). On the six sample drops, whose noise costs 8.2 %, the truth scores
 12.1 % in MuJoCo, 8.31 % there with (8) applied and 8.29 % in the kernel; a steeper slope helps four of the
 drops and harms the others. On high friction a foot sticks, but for some 0.05 mm/s of creep.
 MuJoCo knows one coefficient: it gets the kinetic one.

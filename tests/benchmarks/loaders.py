@@ -1,10 +1,8 @@
 """Time and memory of reading a minute of a 10 kHz load cell (8 columns, 50 MB): dialects of CSV, and HDF5.
 
-Run ``python tests/benchmarks/loaders.py [--rows N] [--dialects NAMES] [--ours] [--json PATH]``. Every reading
-is a separate process: seconds of processor time and of the clock, MB/s of processor time, and the peak of
-memory above the imports as a multiple of the arrays (8 bytes a number). Beside it stand readers that
-only parse: pandas with its default and with its exact conversion, pyarrow where it is installed, and
-numpy.loadtxt. They check no header and name no line; what they cannot read is shown as "no".
+Run ``python tests/benchmarks/loaders.py [--rows N] [--dialects NAMES] [--json PATH]``. Every reading is a
+separate process: seconds of processor time and of the clock, MB/s of processor time, and the peak of memory
+above the imports as a multiple of the arrays (8 bytes a number).
 
 ``--long`` reads ten minutes (6 million rows) as CSV and as HDF5, plain and compressed, and ends with 1 where
 one takes more than 12 s of processor time or 6 times the memory of its arrays: 7.9 s and 3.1, 4.0 s and 3.3,
@@ -38,7 +36,6 @@ DIALECTS = {
     "hdf5-gzip": None,
 }
 LONG = (6_000_000, ("comma", "hdf5", "hdf5-gzip"), 12.0, 6.0)
-READERS = ("sysid", "pandas", "pandas exact", "pyarrow", "numpy.loadtxt")
 
 
 def write_log(path, dialect, rows):
@@ -87,77 +84,42 @@ def write_hdf5(path, rows, packed):
             file.create_dataset(name, data=values, **packed).attrs["unit"] = unit
 
 
-def reader_of(name, dialect):
-    """Return a function of a path, with everything imported that it needs."""
-    if name == "sysid":
-        import pandas as pd
-
-        from sysid.loaders import formats, load
-        from sysid.units import factor_to_si
-
-        # Imports that the first load of any log makes.
-        formats()
-        factor_to_si("N", "N")
-        pd.read_csv(io.StringIO("1,2\n"), header=None)
-        return lambda path: load(path)["thrust"].values
-    mark, decimal, _, encoding, _ = DIALECTS[dialect]
-    if name.startswith("pandas"):
-        import pandas as pd
-
-        exact = {"float_precision": "round_trip"} if name.endswith("exact") else {}
-        parted = {"sep": r"\s+"} if mark == " " else {"sep": mark}
-        return lambda path: pd.read_csv(
-            path, header=None, skiprows=1, decimal=decimal, comment="#", encoding=encoding, **parted, **exact
-        ).to_numpy()
-    if name == "pyarrow":
-        from pyarrow import csv
-
-        parse = csv.ParseOptions(delimiter=mark)
-        convert = csv.ConvertOptions(decimal_point=decimal)
-        options = csv.ReadOptions(encoding=encoding)
-        return lambda path: csv.read_csv(path, options, parse, convert).to_pandas().to_numpy()
-    import numpy as np
-
-    if decimal != ".":
-        raise ValueError("no decimal comma")
-    parted = {} if mark == " " else {"delimiter": mark}
-    return lambda path: np.loadtxt(path, skiprows=1, encoding=encoding, quotechar='"', **parted)
-
-
-def measure(path, name, dialect):
+def measure(path):
     """Read once in this process; print seconds and bytes as JSON."""
-    read = reader_of(name, dialect)
+    import pandas as pd
+
+    from sysid.loaders import formats, load
+    from sysid.units import factor_to_si
+
+    # Imports that the first load of any log makes.
+    formats()
+    factor_to_si("N", "N")
+    pd.read_csv(io.StringIO("1,2\n"), header=None)
     before = memory(peak=False)
-    wall, spent, values = measured(lambda: read(path))
+    wall, spent, values = measured(lambda: load(path)["thrust"].values)
     numbers = len(values) * len(COLUMNS)
-    assert str(values.dtype) == "float64"
     print(json.dumps({"rows": len(values), "seconds": spent, "wall": wall,
                       "memory": (memory(peak=True) - before) / (8 * numbers)}))  # fmt: skip
 
 
-def benchmark(rows, dialects, readers):
-    """Return one entry per dialect and reader; None where the reader cannot read the dialect."""
+def benchmark(rows, dialects):
+    """Return what the reading of each dialect takes."""
     results = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "minute.csv"
         for dialect in dialects:
             write_log(path, dialect, rows)
             size = path.stat().st_size / 1e6
-            print(f"\n{dialect}: {size:.1f} MB, {rows} rows of {len(COLUMNS)}")
-            for name in readers:
-                command = [sys.executable, __file__, "--measure", str(path), name, dialect]
-                done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
-                entry = json.loads(done.stdout) if done.returncode == 0 else None
-                if entry is not None and entry["rows"] != rows:
-                    entry = None
-                results.append({"dialect": dialect, "reader": name, "megabytes": size, "measured": entry})
-                if entry is None:
-                    print(f"  {name:14} no: {(done.stderr.strip().splitlines() or ['other rows'])[-1][:70]}")
-                    continue
-                print(
-                    f"  {name:14} {entry['seconds']:6.2f} s of processor, {entry['wall']:6.2f} s of clock, "
-                    f"{size / entry['seconds']:6.1f} MB/s, memory {entry['memory']:5.2f} times the arrays"
-                )
+            command = [sys.executable, __file__, "--measure", str(path)]
+            done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=True)
+            entry = json.loads(done.stdout)
+            if entry["rows"] != rows:
+                raise RuntimeError(f"{dialect}: {entry['rows']} rows were read, {rows} written")
+            results.append({"dialect": dialect, "megabytes": size, **entry})
+            print(
+                f"{dialect:14} {size:6.1f} MB {entry['seconds']:6.2f} s of processor, {entry['wall']:6.2f} s of"
+                f" clock, {size / entry['seconds']:6.1f} MB/s, memory {entry['memory']:5.2f} times the arrays"
+            )
     return results
 
 
@@ -166,22 +128,19 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", type=int, default=600_000)
     parser.add_argument("--dialects", default=",".join(DIALECTS))
-    parser.add_argument("--ours", action="store_true", help="leave the other readers out")
     parser.add_argument("--long", action="store_true", help="ten minutes as CSV and HDF5, within limits")
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--measure", nargs=3, metavar=("PATH", "READER", "DIALECT"))
+    parser.add_argument("--measure", type=Path, metavar="PATH")
     options = parser.parse_args()
     if options.measure:
-        measure(Path(options.measure[0]), *options.measure[1:])
+        measure(options.measure)
         return
-    readers = READERS[:1] if options.ours or options.long else READERS
     rows, dialects = LONG[:2] if options.long else (options.rows, options.dialects.split(","))
-    results = benchmark(rows, dialects, readers)
+    results = benchmark(rows, dialects)
     if options.json:
         options.json.write_text(json.dumps(results, indent=2), encoding="utf-8")
     if options.long:
-        took = [entry["measured"] or {"seconds": 1e9, "memory": 1e9} for entry in results]
-        sys.exit(any(entry["seconds"] > LONG[2] or entry["memory"] > LONG[3] for entry in took))
+        sys.exit(any(entry["seconds"] > LONG[2] or entry["memory"] > LONG[3] for entry in results))
 
 
 if __name__ == "__main__":
