@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from fakes.log_files import LBF, LBF_IN, notes, refuses
-from fakes.log_oracle import matrix_of
 from sysid.errors import UnitError
 from sysid.loaders import load
 
@@ -113,7 +112,13 @@ def test_motive_124_euler_parent_row_and_times_rounded_to_milliseconds():
     rz = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
     ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
     rx = np.array([[1, 0, 0], [0, np.cos(c), -np.sin(c)], [0, np.sin(c), np.cos(c)]])
-    np.testing.assert_allclose(matrix_of(orientation[2]), rz @ ry @ rx, atol=1e-14)
+    w, x, y, z = orientation[2]
+    written_out = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    np.testing.assert_allclose(written_out, rz @ ry @ rx, atol=1e-14)
     refuses(HERE / "motive_124_zyx_m.csv", "contradicts the header, which says ZYX", euler_order="XYZ")
     refuses(HERE / "motive_124_zyx_m.csv", "lengths are in Meters and mm", UnitError, length_unit="mm")
 
