@@ -117,8 +117,8 @@ def benchmark(rows, dialects):
                 raise RuntimeError(f"{dialect}: {entry['rows']} rows were read, {rows} written")
             results.append({"dialect": dialect, "megabytes": size, **entry})
             print(
-                f"{dialect:14} {size:6.1f} MB {entry['seconds']:6.2f} s of processor, {entry['wall']:6.2f} s of"
-                f" clock, {size / entry['seconds']:6.1f} MB/s, memory {entry['memory']:5.2f} times the arrays"
+                f"{dialect:14} {size:6.1f} MB {entry['seconds']:6.2f} s of processor, {entry['wall']:6.2f} s "
+                f"of clock, {size / entry['seconds']:6.1f} MB/s, memory {entry['memory']:5.2f} x the arrays"
             )
     return results
 
