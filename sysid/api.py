@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 from sysid.campaign import read_campaign
 from sysid.errors import ExportError, FitError
 from sysid.export import load_parameter_sets as load_parameter_sets
-from sysid.fit.problem import Kind as Kind
+from sysid.fit.kind import Kind as Kind
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.landing.drone import drone

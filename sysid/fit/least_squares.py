@@ -17,17 +17,15 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.fit.objective import Objective
 from sysid.fit.stopping import StopReason
+from sysid.fit.trial import Block
 from sysid.types import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from sysid.fit.problem import Block
 
 # Damping that is tried in every step, as multiples of a front's present damping.
 _FACTORS = (0.1, 1.0, 10.0)

@@ -4,54 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.fit.trial import UNNAMED_CAUSE, Block, Evaluation, Trial
 from sysid.parallel import Executor
 from sysid.parameters import SearchSpace
-from sysid.types import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from sysid.fit.problem import Block, Trial
-
-Failed = BoolArray | NDArray[np.int8]
-
-
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """Cost of one population.
-
-    Parameters
-    ----------
-    cost : (P,) array
-        NRMSE of each candidate [1]; finite, a failed candidate carries its graded penalty.
-    failed : (P,) bool or int8 array
-        Candidates of which at least one simulation failed: True, or the number (from 1) of its cause among
-        the objective's `causes`.
-    simulations : int
-        Simulations that were run (candidates × trials).
-    """
-
-    cost: FloatArray
-    failed: Failed
-    simulations: int
-
-
-# What a failed candidate counts under where its objective names no causes.
-UNNAMED_CAUSE = ("simulation failed",)
+from sysid.types import FloatArray
 
 
 def causes_of(objective: object) -> tuple[str, ...]:
     """Return the causes of failure that an objective tells apart."""
     return tuple(getattr(objective, "causes", UNNAMED_CAUSE))
-
-
-def count_causes(failed: Failed, causes: tuple[str, ...]) -> dict[str, int]:
-    """Return how many candidates failed, by cause; causes that did not occur are left out."""
-    counts = np.bincount(np.asarray(failed, dtype=np.int64), minlength=len(causes) + 1)
-    return {cause: int(count) for cause, count in zip(causes, counts[1:], strict=True) if count}
 
 
 class Objective(Protocol):

@@ -9,21 +9,26 @@ see `sysid.workflows.kinds.register`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields
 from functools import cache, cached_property
-from pathlib import Path
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sysid.fit.objective import UNNAMED_CAUSE, Evaluation
-from sysid.fit.result import FitResult, RankedSets, TrialResult
-from sysid.fit.search import SearchSettings
-from sysid.fit.stopping import CutReason
-from sysid.journal import Finding, Journal, notice, tell
-from sysid.parameter_sets import ParameterRecord, parameter_records
+from sysid.fit.result import FitResult, TrialResult
+from sysid.fit.trial import (
+    UNNAMED_CAUSE,
+    Block,
+    Cost,
+    Evaluation,
+    NoiseModel,
+    Prediction,
+    Scores,
+    Trial,
+    first_cause,
+)
+from sysid.journal import Journal, notice, tell
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray, IntArray
 
@@ -31,119 +36,6 @@ from sysid.types import BoolArray, FloatArray, IntArray
 ASSUMED_NOISE = 0.02
 # Simulated samples of a population that are in memory at once [bytes].
 _MEMORY = 8e6
-
-
-class Cost(Protocol):
-    """An NRMSE: weights of the channels (C,), denominators (T, C) [channel unit]."""
-
-    weights: FloatArray
-    denominators: FloatArray
-
-    def mean(self, by_channel: FloatArray) -> FloatArray:
-        """Return the weighted mean (...) over channels, then over trials, of (..., T, C) NRMSE [1]."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One prepared trial as it is compared.
-
-    Parameters
-    ----------
-    time : (n,) array
-        Compared instants on the log's clock [s].
-    measured, valid : (n, C) arrays
-        As compared [channel units], and which samples count.
-    provenance : mapping
-        Log, hash (``sha256``), what was noticed.
-    zero : float
-        Instant from which times are counted: the first touchdown, the window's start [s].
-    shown : mapping
-        Further fields of `TrialResult`: spectrum, thrust, commands.
-    """
-
-    name: str
-    use: Literal["fit", "validate"]
-    time: FloatArray
-    measured: FloatArray
-    valid: BoolArray
-    provenance: Mapping[str, Any]
-    zero: float
-    shown: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the log."""
-        return str(self.provenance["sha256"])
-
-
-@dataclass(frozen=True)
-class Block:
-    """The samples of one channel of one trial, both numbered from 0.
-
-    Parameters
-    ----------
-    start, stop : int
-        Its residuals are ``[start:stop]``, one per compared sample, 0 where a sample does not count.
-    count : int
-        Samples that count.
-    weight : float
-        In the mean NRMSE; all blocks sum to 1.
-    spread : float
-        What NRMSE divides by [unit of the channel].
-    noise : float
-        NRMSE that measurement noise alone costs [1].
-    """
-
-    trial: int
-    channel: int
-    start: int
-    stop: int
-    count: int
-    weight: float
-    spread: float
-    noise: float
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseModel:
-    """Correlations of residuals, each block scaled to unit variance.
-
-    `covariance` (C, C, L + 1) pairs channel c at a sample with c' later by the lag [1], for `channels`
-    in their order.
-    """
-
-    channels: tuple[int, ...]
-    covariance: FloatArray
-
-    @property
-    def inflation(self) -> FloatArray:
-        """(C,) samples of each channel that are worth one independent sample [1]."""
-        auto = np.array([self.covariance[c, c] for c in range(len(self.channels))])
-        return np.maximum(1.0, (auto[:, 0] + 2 * auto[:, 1:].sum(axis=1)) / np.maximum(auto[:, 0], 1e-300))
-
-
-@dataclass(frozen=True, eq=False)
-class Scores:
-    """What a population scores.
-
-    Parameters
-    ----------
-    by_channel : (P, T, C) array
-        NRMSE [1]; a penalty where the simulation is lost.
-    cause : (P, T) int8 array
-        Why it is lost: a number from 1 among the problem's `causes`; 0 where it is not.
-    """
-
-    by_channel: FloatArray
-    cause: NDArray[np.int8]
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction(Scores):
-    """Scores, and the simulated signals as they are compared: (P, n, C) per trial [channel units]."""
-
-    signals: tuple[FloatArray, ...]
 
 
 class Problem(ABC):
@@ -503,147 +395,3 @@ class Problem(ABC):
 def tell_of_kernel(name: str) -> None:
     """Say once per process, before the first simulation, why nothing else is printed for a while."""
     tell(f"preparing {name}: compiled once per version (under a minute), then loaded")
-
-
-def first_cause(causes: NDArray[np.int8], count: int) -> NDArray[np.int8] | BoolArray:
-    """Return the cause by which a candidate (P,) counts, of its trials' (P, T); of one cause: whether."""
-    if count == 1:
-        return np.any(causes > 0, axis=1)
-    codes = np.where(causes > 0, causes, count + 1).min(axis=1)
-    return np.where(codes > count, 0, codes).astype(np.int8)
-
-
-@dataclass(frozen=True)
-class Words:
-    """What a kind's trials are called, and what sentences about them advise."""
-
-    trials: str = "trials"
-    # A further recording that `sysid check` could suggest.
-    single: str = "trial"
-    # What makes a fit hang on one trial.
-    misleads: str = "an error of that log"
-    # A further remedy for a trial that fits unlike the others.
-    remedy: str = ""
-    # What makes the prediction of one trial far worse than the others.
-    unlike: str = "a misread unit, clock or log"
-
-
-@dataclass(frozen=True, eq=False)
-class Course:
-    """A fit after its search.
-
-    `cut` is what cut the search short. `go_on` returns False, or raises `sysid.fit.stopping.CutShort` where
-    the fit must end.
-    """
-
-    sets: RankedSets
-    settings: SearchSettings
-    cut: CutReason | None
-    go_on: Callable[[], bool]
-
-
-@dataclass(frozen=True, eq=False)
-class FitOutcome:
-    """What a kind makes of the ranked sets of a fit.
-
-    Parameters
-    ----------
-    sets : RankedSets
-        In their final order.
-    rows : (S, n_table) array
-        With which the trials are scored [SI].
-    records : tuple of ParameterRecord
-        One per column of `values`.
-    values, at_bound, nrmse, settings : arrays, mapping
-        As in `FitResult`.
-    provenance : mapping
-        Beside the keys of every fit.
-    cut : {"interrupted", "time"} or None
-        What cut the search or the follow-up short.
-    """
-
-    sets: RankedSets
-    rows: FloatArray
-    records: tuple[ParameterRecord, ...]
-    values: FloatArray
-    at_bound: NDArray[np.int8]
-    nrmse: FloatArray
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    cut: CutReason | None = None
-
-
-def _as_found(problem: Problem, course: Course) -> FitOutcome:
-    """Return ranked sets as they are."""
-    sets, choices = course.sets, problem.campaign.parameters
-    ranges = choices.measured_ranges(problem.space.table)
-    records = parameter_records(problem.space, None, ranges, stated=dict.fromkeys(choices.fixed, "campaign"))
-    return FitOutcome(sets, sets.values, records, sets.values, sets.at_bound, sets.cost, cut=course.cut)
-
-
-def _as_stated(campaign: Any, settings: Mapping[str, Any]) -> tuple[Any, tuple[Finding, ...]]:
-    return campaign, ()
-
-
-def _begin(problem: Problem) -> None:
-    count = len(problem.fitted.trials)
-    free = ", ".join(problem.space.names)
-    tell(f"{count} trials to fit, {len(problem.trials) - count} to validate; free: {free}")
-
-
-def _no_candidates(fitted: Problem, row: FloatArray) -> tuple[Problem, Sequence[str]] | None:
-    return None
-
-
-@dataclass(frozen=True)
-class Term:
-    """Physics that a model may be given: `parameters` of its table that are not free by default.
-
-    `title` is what a table calls it, ``joint rubs dry``.
-    """
-
-    title: str
-    parameters: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of model.
-
-    Parameters
-    ----------
-    name : str
-        As campaign files and results state it.
-    campaign : type
-        Of the campaign file; a subclass of `sysid.campaign.common.CampaignTable` with the tables ``fit`` and
-        ``cost``.
-    open : callable
-        (campaign, path, threads) -> the problem of all its trials.
-    begin : callable
-        (problem of all trials) -> None: refuses early what could not be fitted, tells what is fitted.
-    follow_up : callable
-        (problem of all trials, `Course`) -> `FitOutcome`.
-    candidates : callable
-        (fitted problem, row (n_table,) [SI]) -> (problem with one trial per recording that could be made
-        next, their titles), or None.
-    under : callable
-        (campaign, settings of a fit) -> (the campaign under the law of that fit, what is noticed).
-    terms : tuple of Term
-        Physics on trial, see `sysid.trust.ladder`.
-    simpler : callable
-        (fitted problem) -> (title, simpler model of the same trials) pairs that the ladder compares.
-    laws : tuple of str
-        Settings that a user may state instead of the campaign's; `under` reads them.
-    """
-
-    name: str
-    campaign: type
-    open: Callable[[Any, Path, int | None], Problem]
-    begin: Callable[[Any], None] = _begin
-    follow_up: Callable[[Any, Course], FitOutcome] = _as_found
-    candidates: Callable[[Any, FloatArray], tuple[Problem, Sequence[str]] | None] = _no_candidates
-    under: Callable[[Any, Mapping[str, Any]], tuple[Any, tuple[Finding, ...]]] = _as_stated
-    terms: tuple[Term, ...] = ()
-    simpler: Callable[[Any], Sequence[tuple[str, Problem]]] = lambda problem: ()
-    laws: tuple[str, ...] = ()
-    words: Words = Words()

@@ -17,7 +17,7 @@ from rich.text import Text
 
 from sysid.fit.history import Generation, RunHistory
 from sysid.fit.optima import CUT
-from sysid.fit.search import SearchSettings
+from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import REASONS
 
 # Between two plain lines [s].

@@ -9,7 +9,8 @@ from typing_extensions import TypedDict
 
 from sysid.documents import CONFIG, Open, OpenMapping
 from sysid.fit.adequacy import Adequacy
-from sysid.fit.stopping import CutReason, Reading
+from sysid.fit.settings import Reading
+from sysid.fit.stopping import CutReason
 from sysid.parameter_sets import SetsDocument
 
 

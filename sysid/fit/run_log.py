@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import FitError
-from sysid.fit.objective import UNNAMED_CAUSE, Evaluation, count_causes
 from sysid.fit.stopping import StopReason
+from sysid.fit.trial import UNNAMED_CAUSE, Evaluation, count_causes
 from sysid.types import FloatArray
 
 
@@ -56,7 +56,7 @@ class Begun:
     """The first k candidates of a long generation, which are already computed.
 
     `asked` is the `population_hash` of all candidates of the generation, `elapsed` the wall time of the stage
-    until then [s]; the rest as in `sysid.fit.objective.Evaluation`.
+    until then [s]; the rest as in `sysid.fit.trial.Evaluation`.
     """
 
     asked: int

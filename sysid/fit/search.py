@@ -22,18 +22,17 @@ from typing import Protocol
 import numpy as np
 
 from sysid.errors import FitError
-from sysid.fit.breeders.algorithms import ALGORITHMS, DEFAULT_ALGORITHM, POPULATION, breeder
+from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.least_squares import LeastSquares
-from sysid.fit.objective import Evaluation, Objective, causes_of
+from sysid.fit.objective import Objective, causes_of
 from sysid.fit.run_log import RunMemory, StageMemory
-from sysid.fit.stopping import StopReason, StopRule
+from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.stopping import StopReason
+from sysid.fit.trial import Evaluation
 from sysid.types import FloatArray
 
-FINISHERS = ("least-squares", "cmaes", "none")
-# Chosen by tests/benchmarks/engine.py.
-DEFAULT_FINISH = "least-squares"
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
 # than a GA's: its window is cma's default of 10 + 30 n/P generations, its tolerance a tenth of the paper's.
 CMAES_TOLERANCE = 1e-5
@@ -52,65 +51,6 @@ _SHARES, _FAST_SHARES = (0.6,), (0.3, 0.5, 0.8)
 PART_TIME = 1.0
 # Between two looks at what the user wants [s].
 _HEARING = 0.2
-
-
-@dataclass(frozen=True)
-class SearchSettings:
-    """How a fit searches.
-
-    Parameters
-    ----------
-    population : int
-        Individuals per generation of the first stage [1]; the paper uses 200 (motor) and 400 to 800 (gear).
-    runs : int
-        Independent runs [1]; the paper uses 5.
-    seed : int
-        Seed of the fit; every run draws from another child of it.
-    stop : StopRule
-        When the first stage ends. `time_limit` and `max_evaluations` count for the whole fit,
-        `max_generations` for every stage.
-    algorithm : str
-        A key of `sysid.fit.breeders.algorithms.ALGORITHMS`.
-    finish : {"least-squares", "cmaes", "none"}
-        Least squares from the best of a few generations, then CMA-ES along the axes of the cost's curvature,
-        because the cost is too rough for derivatives to find the last digits; where more is left than noise,
-        the whole search and CMA-ES follow instead. CMA-ES from mean and spread of each run's last generation.
-        ``none`` is the paper's method.
-    first_generations : int, optional
-        Of the first stage at most, and CMA-ES after it is a small one; by default the stop rule says it, and
-        before least squares there are three.
-    """
-
-    population: int = POPULATION[DEFAULT_ALGORITHM]
-    runs: int = 5
-    seed: int = 1
-    stop: StopRule = field(default_factory=StopRule)
-    algorithm: str = DEFAULT_ALGORITHM
-    finish: str = DEFAULT_FINISH
-    first_generations: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.population < 4 or self.runs < 1 or self.seed < 0:
-            raise FitError(
-                f"population {self.population}, runs {self.runs}, seed {self.seed}: expected a population "
-                "of at least 4, at least 1 run and a seed of at least 0"
-            )
-        if self.algorithm not in ALGORITHMS:
-            raise FitError(f"unknown algorithm {self.algorithm!r}; expected one of {', '.join(ALGORITHMS)}")
-        if self.finish not in FINISHERS:
-            raise FitError(f"unknown finisher {self.finish!r}; expected one of {', '.join(FINISHERS)}")
-
-    def run_seeds(self) -> tuple[int, ...]:
-        """Return the seed of every run; more runs keep the first ones."""
-        children = np.random.SeedSequence(self.seed).spawn(self.runs)
-        return tuple(int(child.generate_state(1, np.uint32)[0]) for child in children)
-
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """Algorithms of a run, in order; CMA-ES needs no finisher, and more follows least squares."""
-        if self.finish == "none" or self.algorithm == "cmaes":
-            return (self.algorithm,)
-        return (self.algorithm, self.finish)
 
 
 def _ignore(*_: object) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from sysid.campaign import GearCampaign
+from sysid.fit.kind import Course, FitOutcome, Kind, Term, Words
 from sysid.fit.nrmse import TrialTarget
-from sysid.fit.problem import Course, FitOutcome, Kind, Term, Words
 from sysid.gear.drops import PreparedDrop, prepare_drops
 from sysid.gear.model import PARAMETERS
 from sysid.gear.problem import CONSTANTS, TRUST_TOLERANCE, GearProblem, gear_space, on_surface

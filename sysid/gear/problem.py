@@ -15,8 +15,9 @@ from sysid.campaign import GearCampaign
 from sysid.campaign.file import resolve_log
 from sysid.errors import CampaignError
 from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse, PopulationCost
-from sysid.fit.problem import Block, NoiseModel, Prediction, Problem, Scores, Trial, tell_of_kernel
+from sysid.fit.problem import Problem, tell_of_kernel
 from sysid.fit.result import FitResult
+from sysid.fit.trial import Block, NoiseModel, Prediction, Scores, Trial
 from sysid.gear.beyond_window import centre_of_mass, stopping
 from sysid.gear.drops import PreparedDrop, cost_channels, lowpass_of, read_drop_log
 from sysid.gear.lost_drops import CAUSES, lost_drops

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from sysid.campaign import MotorCampaign
 from sysid.errors import CampaignError
 from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM
-from sysid.fit.search import Hooks, SearchSettings, run_one
+from sysid.fit.search import Hooks, run_one
+from sysid.fit.settings import SearchSettings
 from sysid.motor.known_values import SATURATION, Bench
 from sysid.motor.log_delays import delay_name
 from sysid.motor.model import PARAMETERS, simulate, unpack

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.problem import Course, FitOutcome
+from sysid.fit.kind import Course, FitOutcome
 from sysid.fit.result import RankedSets
 from sysid.fit.stopping import CutReason, CutShort
 from sysid.journal import Finding, folded, note, notice, spoken, tell

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sysid.campaign import MotorCampaign
-from sysid.fit.problem import Kind, Term, Words
+from sysid.fit.kind import Kind, Term, Words
 from sysid.motor.candidates import candidate_trials
 from sysid.motor.follow_up import begin_fit, follow_up
 from sysid.motor.known_values import motor_space, prepare_bench

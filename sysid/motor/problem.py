@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign
-from sysid.fit.problem import NoiseModel, Prediction, Problem, Scores, Trial, tell_of_kernel
+from sysid.fit.problem import Problem, tell_of_kernel
 from sysid.fit.result import FitResult
+from sysid.fit.trial import NoiseModel, Prediction, Scores, Trial
 from sysid.motor import kernel
 from sysid.motor.batch import SimulatedTrials, simulate_population
 from sysid.motor.bench_logs import log_hashes

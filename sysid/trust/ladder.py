@@ -29,7 +29,8 @@ from scipy.stats import chi2
 
 from sysid.errors import FitError
 from sysid.fit.adequacy import EXPLAINED_BY, adequacy
-from sysid.fit.problem import Problem, Term
+from sysid.fit.kind import Term
+from sysid.fit.problem import Problem
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
 from sysid.trust.assessment import linearize_widened

@@ -22,7 +22,8 @@ from itertools import product
 
 import numpy as np
 
-from sysid.fit.problem import Block, NoiseModel, Problem
+from sysid.fit.problem import Problem
+from sysid.fit.trial import Block, NoiseModel
 from sysid.parameters import SearchSpace
 from sysid.trust.documents import Partner
 from sysid.trust.jacobian import Jacobian, jacobian

@@ -21,7 +21,8 @@ from copy import copy
 import numpy as np
 
 from sysid.fit.least_squares import LEAST_NRMSE
-from sysid.fit.problem import Block, Problem
+from sysid.fit.problem import Problem
+from sysid.fit.trial import Block
 from sysid.parallel import Executor
 from sysid.types import FloatArray
 

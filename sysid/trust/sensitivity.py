@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sysid.fit.problem import NoiseModel, Problem
+from sysid.fit.problem import Problem
+from sysid.fit.trial import NoiseModel
 from sysid.parameters import SearchSpace
 from sysid.trust.documents import Expected
 from sysid.trust.jacobian import jacobian

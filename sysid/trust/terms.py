@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from sysid.fit.kind import Term
 from sysid.fit.least_squares import Fronts, MeanNrmse, descend, drive
-from sysid.fit.problem import Problem, Term
-from sysid.fit.search import SearchSettings, run_one
+from sysid.fit.problem import Problem
+from sysid.fit.search import run_one
+from sysid.fit.settings import SearchSettings
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray
 

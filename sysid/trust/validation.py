@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sysid.fit.problem import Trial
+from sysid.fit.trial import Trial
 from sysid.trust.documents import JudgedTrial
 from sysid.types import FloatArray
 

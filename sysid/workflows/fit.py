@@ -20,14 +20,16 @@ from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION, breeder
 from sysid.fit.breeders.in_process import BreederApart
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
+from sysid.fit.kind import Course, FitOutcome
 from sysid.fit.least_squares import noise_floor
 from sysid.fit.objective import SpreadObjective
 from sysid.fit.optima import agreement, loose_findings, waterfall
-from sysid.fit.problem import Course, FitOutcome, Problem
+from sysid.fit.problem import Problem
 from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult, bound_findings, ranked_sets
-from sysid.fit.search import Hooks, SearchSettings, run_many
-from sysid.fit.stopping import CutReason, Deadline, StopFlag, StopRule, stop_on_interrupt
+from sysid.fit.search import Hooks, run_many
+from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.stopping import CutReason, Deadline, StopFlag, stop_on_interrupt
 from sysid.fit.store import check_new_fit, write_fit
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor

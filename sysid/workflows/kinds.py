@@ -10,7 +10,7 @@ from typing import Any
 
 from sysid.campaign import read_campaign, register_campaign
 from sysid.errors import CampaignError, CampaignFileError, UnitError
-from sysid.fit.problem import Kind
+from sysid.fit.kind import Kind
 from sysid.gear.kind import GEAR
 from sysid.journal import Finding
 from sysid.motor.kind import MOTOR
@@ -38,7 +38,8 @@ def register(kind: Kind, report: str = _ANY_REPORT) -> None:
     >>> from sysid.campaign import FitTable
     >>> from sysid.campaign.common import CampaignTable, TomlTable, TrialTable
     >>> from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
-    >>> from sysid.fit.problem import Problem, Scores, Trial
+    >>> from sysid.fit.problem import Problem
+    >>> from sysid.fit.trial import Scores, Trial
     >>> from sysid.parameters import Parameter, ParameterTable
     >>> from sysid.recording import file_sha256
     >>> rate = Parameter("decay_rate", "λ", "1/s", 1.0, 0.1, 10.0, "log", "Share lost per second.", "guess")

@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import FitError
-from sysid.fit.problem import ASSUMED_NOISE, Kind, Prediction, Problem, Words
+from sysid.fit.kind import Kind, Words
+from sysid.fit.problem import ASSUMED_NOISE, Problem
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
+from sysid.fit.trial import Prediction
 from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
 from sysid.trust.assessment import leave_one_out, linearize

@@ -14,7 +14,8 @@ from typing import Any
 from sysid import __version__, exact_json
 from sysid.campaign.common import CampaignSource
 from sysid.fit.problem import Problem
-from sysid.fit.search import FINISH_POPULATION, SearchSettings
+from sysid.fit.search import FINISH_POPULATION
+from sysid.fit.settings import SearchSettings
 
 _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 

@@ -7,7 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 from sysid.errors import FitError
-from sysid.fit.problem import Kind, Problem, Term
+from sysid.fit.kind import Kind, Term
+from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import notice

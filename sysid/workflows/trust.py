@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid.errors import FitError
 from sysid.fit.adequacy import NOT_BY, misfit_finding
-from sysid.fit.problem import Words
+from sysid.fit.kind import Words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_texts
 from sysid.journal import Finding, Journal, Say, notice

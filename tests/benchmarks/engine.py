@@ -25,8 +25,8 @@ import numpy as np
 import campaigns
 from paired import write_json
 from sysid.fit.objective import SpreadObjective
-from sysid.fit.search import SearchSettings, run_many, run_one
-from sysid.fit.stopping import StopRule
+from sysid.fit.search import run_many, run_one
+from sysid.fit.settings import SearchSettings, StopRule
 from sysid.parallel import DaskCluster, LocalThreads
 
 

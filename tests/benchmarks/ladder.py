@@ -38,7 +38,8 @@ from fakes.foreign_gear import NAMES, NONE, TERMS, simulator
 from interval_coverage import Covered, judged
 from sysid.campaign import read_campaign
 from sysid.fit.adequacy import adequacy
-from sysid.fit.search import SearchSettings, run_one
+from sysid.fit.search import run_one
+from sysid.fit.settings import SearchSettings
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.trust.assessment import linearize
 from sysid.trust.ladder import Climber, Ladder

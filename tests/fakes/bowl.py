@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from sysid.fit.objective import Evaluation
-from sysid.fit.problem import Block, Trial
-from sysid.fit.search import SearchSettings, run_one
-from sysid.fit.stopping import StopRule
+from sysid.fit.search import run_one
+from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.trial import Block, Evaluation, Trial
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 
 SHORT = StopRule(max_generations=12)

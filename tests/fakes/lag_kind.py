@@ -11,8 +11,10 @@ import numpy as np
 
 from sysid.campaign import FitTable
 from sysid.campaign.common import CampaignTable, TomlTable, TrialTable
+from sysid.fit.kind import Kind, Term
 from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
-from sysid.fit.problem import Kind, Problem, Scores, Term, Trial
+from sysid.fit.problem import Problem
+from sysid.fit.trial import Scores, Trial
 from sysid.parameters import Parameter, ParameterTable
 from sysid.workflows.kinds import register
 

@@ -10,8 +10,8 @@ from sysid import exact_json
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
 from sysid.fit.nrmse import FAILED_NRMSE
-from sysid.fit.problem import first_cause
 from sysid.fit.store import read_fit
+from sysid.fit.trial import first_cause
 from sysid.gear.lost_drops import CAUSES
 from sysid.gear.model import SURFACES, pack
 from sysid.gear.problem import GearProblem, gear_space

@@ -11,7 +11,8 @@ import pytest
 from fakes.gear_campaigns import opened, score_values, used
 from fakes.gear_drops import touchdowns
 from fakes.sets import assert_sets_agree
-from sysid.fit.search import SearchSettings, run_one
+from sysid.fit.search import run_one
+from sysid.fit.settings import SearchSettings
 from sysid.gear.model import simulate
 from sysid.gear.problem import GearProblem, gear_space, measured_values
 from sysid.parameters import SearchSpace

@@ -8,7 +8,8 @@ import pytest
 
 from fakes.foreign_gear import NAMES, drawn_terms, simulator
 from sysid.campaign import read_campaign
-from sysid.fit.search import SearchSettings, run_one
+from sysid.fit.search import run_one
+from sysid.fit.settings import SearchSettings
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.trust.assessment import assess
 from sysid.trust.ladder import Climber

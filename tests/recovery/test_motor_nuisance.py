@@ -11,10 +11,10 @@ import pytest
 
 from fakes.motor_bench import bench_of, edited, problem_of, table_of, write_table
 from sysid.errors import CampaignError, FitError, LogError
-from sysid.fit.problem import Course
+from sysid.fit.kind import Course
 from sysid.fit.result import ranked_sets
-from sysid.fit.search import SearchSettings, run_one
-from sysid.fit.stopping import StopRule
+from sysid.fit.search import run_one
+from sysid.fit.settings import SearchSettings, StopRule
 from sysid.journal import Journal
 from sysid.motor.dead_band import fit_saturation
 from sysid.motor.follow_up import follow_up, log_delays

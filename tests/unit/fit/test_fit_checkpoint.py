@@ -26,10 +26,11 @@ from sysid.fit.checkpoint import (
     run_numbers,
     state_files,
 )
-from sysid.fit.objective import Evaluation
 from sysid.fit.run_log import RunMemory
-from sysid.fit.search import Hooks, SearchSettings, run_many
-from sysid.fit.stopping import StopFlag, StopRule
+from sysid.fit.search import Hooks, run_many
+from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.stopping import StopFlag
+from sysid.fit.trial import Evaluation
 
 
 def run_all(

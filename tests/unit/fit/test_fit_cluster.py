@@ -20,8 +20,8 @@ from sysid.errors import SysidError
 from sysid.fit import checkpoint
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.objective import SpreadObjective
-from sysid.fit.search import Hooks, SearchSettings, run_many
-from sysid.fit.stopping import StopRule
+from sysid.fit.search import Hooks, run_many
+from sysid.fit.settings import SearchSettings, StopRule
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import GearProblem, gear_space
 from sysid.journal import Journal

@@ -13,11 +13,12 @@ from fakes.bowl import SHORT, Bowl, Decay, assert_same_run, run_genetic, table
 from sysid.errors import FitError
 from sysid.fit.breeders.algorithms import ALGORITHMS, Start, breeder
 from sysid.fit.breeders.in_process import BreederApart
-from sysid.fit.objective import Evaluation
 from sysid.fit.result import bound_findings, ranked_sets
 from sysid.fit.run_log import RunMemory
-from sysid.fit.search import Hooks, SearchSettings, run_many, run_one
-from sysid.fit.stopping import StopFlag, StopRule
+from sysid.fit.search import Hooks, run_many, run_one
+from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.stopping import StopFlag
+from sysid.fit.trial import Evaluation
 from sysid.parameter_sets import parameter_records
 from sysid.parameters import SearchSpace
 

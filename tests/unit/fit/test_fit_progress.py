@@ -11,8 +11,7 @@ from sysid.fit import progress as progress_module
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.problem import tell_of_kernel
 from sysid.fit.progress import FitProgress
-from sysid.fit.search import SearchSettings
-from sysid.fit.stopping import StopRule
+from sysid.fit.settings import SearchSettings, StopRule
 from sysid.journal import Journal
 
 GENERATION = Generation(7, np.zeros((3, 1)), np.array([0.05, 0.06, 0.3]), 1, 21, 126, elapsed=2.0)

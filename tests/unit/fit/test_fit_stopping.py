@@ -9,7 +9,8 @@ import pytest
 
 from sysid.errors import FitError
 from sysid.fit import stopping
-from sysid.fit.stopping import REASONS, CutShort, Deadline, StopRule, stop_on_interrupt
+from sysid.fit.settings import StopRule
+from sysid.fit.stopping import REASONS, CutShort, Deadline, stop_on_interrupt
 
 RELATIVE = StopRule(reading="relative")
 MATLAB = StopRule(reading="matlab")

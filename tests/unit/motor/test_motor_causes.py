@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sysid.fit.objective import count_causes
-from sysid.fit.problem import first_cause
+from sysid.fit.trial import count_causes, first_cause
 from sysid.motor import kernel
 from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population
 from sysid.motor.model import pack

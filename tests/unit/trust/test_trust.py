@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from sysid.fit.problem import Block, NoiseModel, Trial
+from sysid.fit.trial import Block, NoiseModel, Trial
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trust.assessment import Assessment, assess, bootstrap, leave_one_out, linearize, refit
 from sysid.trust.influence import influence

@@ -8,7 +8,7 @@ import pytest
 
 from sysid import exact_json
 from sysid.errors import FitError
-from sysid.fit.problem import Trial
+from sysid.fit.trial import Trial
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.documents import free_part, parts, read_arrays, read_part, validation_part, write_part

@@ -1,0 +1,155 @@
+"""A kind of model: how a verb makes a problem of a campaign, and an outcome of a search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.fit.problem import Problem
+from sysid.fit.result import RankedSets
+from sysid.fit.settings import SearchSettings
+from sysid.fit.stopping import CutReason
+from sysid.journal import Finding, tell
+from sysid.parameter_sets import ParameterRecord, parameter_records
+from sysid.types import FloatArray
+
+
+@dataclass(frozen=True)
+class Words:
+    """What a kind's trials are called, and what sentences about them advise."""
+
+    trials: str = "trials"
+    # A further recording that `sysid check` could suggest.
+    single: str = "trial"
+    # What makes a fit hang on one trial.
+    misleads: str = "an error of that log"
+    # A further remedy for a trial that fits unlike the others.
+    remedy: str = ""
+    # What makes the prediction of one trial far worse than the others.
+    unlike: str = "a misread unit, clock or log"
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A fit after its search.
+
+    `cut` is what cut the search short. `go_on` returns False, or raises `sysid.fit.stopping.CutShort` where
+    the fit must end.
+    """
+
+    sets: RankedSets
+    settings: SearchSettings
+    cut: CutReason | None
+    go_on: Callable[[], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class FitOutcome:
+    """What a kind makes of the ranked sets of a fit.
+
+    Parameters
+    ----------
+    sets : RankedSets
+        In their final order.
+    rows : (S, n_table) array
+        With which the trials are scored [SI].
+    records : tuple of ParameterRecord
+        One per column of `values`.
+    values, at_bound, nrmse, settings : arrays, mapping
+        As in `FitResult`.
+    provenance : mapping
+        Beside the keys of every fit.
+    cut : {"interrupted", "time"} or None
+        What cut the search or the follow-up short.
+    """
+
+    sets: RankedSets
+    rows: FloatArray
+    records: tuple[ParameterRecord, ...]
+    values: FloatArray
+    at_bound: NDArray[np.int8]
+    nrmse: FloatArray
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    cut: CutReason | None = None
+
+
+def _as_found(problem: Problem, course: Course) -> FitOutcome:
+    """Return ranked sets as they are."""
+    sets, choices = course.sets, problem.campaign.parameters
+    ranges = choices.measured_ranges(problem.space.table)
+    records = parameter_records(problem.space, None, ranges, stated=dict.fromkeys(choices.fixed, "campaign"))
+    return FitOutcome(sets, sets.values, records, sets.values, sets.at_bound, sets.cost, cut=course.cut)
+
+
+def _as_stated(campaign: Any, settings: Mapping[str, Any]) -> tuple[Any, tuple[Finding, ...]]:
+    return campaign, ()
+
+
+def _begin(problem: Problem) -> None:
+    count = len(problem.fitted.trials)
+    free = ", ".join(problem.space.names)
+    tell(f"{count} trials to fit, {len(problem.trials) - count} to validate; free: {free}")
+
+
+def _no_candidates(fitted: Problem, row: FloatArray) -> tuple[Problem, Sequence[str]] | None:
+    return None
+
+
+@dataclass(frozen=True)
+class Term:
+    """Physics that a model may be given: `parameters` of its table that are not free by default.
+
+    `title` is what a table calls it, ``joint rubs dry``.
+    """
+
+    title: str
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of model.
+
+    Parameters
+    ----------
+    name : str
+        As campaign files and results state it.
+    campaign : type
+        Of the campaign file; a subclass of `sysid.campaign.common.CampaignTable` with the tables ``fit`` and
+        ``cost``.
+    open : callable
+        (campaign, path, threads) -> the problem of all its trials.
+    begin : callable
+        (problem of all trials) -> None: refuses early what could not be fitted, tells what is fitted.
+    follow_up : callable
+        (problem of all trials, `Course`) -> `FitOutcome`.
+    candidates : callable
+        (fitted problem, row (n_table,) [SI]) -> (problem with one trial per recording that could be made
+        next, their titles), or None.
+    under : callable
+        (campaign, settings of a fit) -> (the campaign under the law of that fit, what is noticed).
+    terms : tuple of Term
+        Physics on trial, see `sysid.trust.ladder`.
+    simpler : callable
+        (fitted problem) -> (title, simpler model of the same trials) pairs that the ladder compares.
+    laws : tuple of str
+        Settings that a user may state instead of the campaign's; `under` reads them.
+    """
+
+    name: str
+    campaign: type
+    open: Callable[[Any, Path, int | None], Problem]
+    begin: Callable[[Any], None] = _begin
+    follow_up: Callable[[Any, Course], FitOutcome] = _as_found
+    candidates: Callable[[Any, FloatArray], tuple[Problem, Sequence[str]] | None] = _no_candidates
+    under: Callable[[Any, Mapping[str, Any]], tuple[Any, tuple[Finding, ...]]] = _as_stated
+    terms: tuple[Term, ...] = ()
+    simpler: Callable[[Any], Sequence[tuple[str, Problem]]] = lambda problem: ()
+    laws: tuple[str, ...] = ()
+    words: Words = Words()

@@ -1,0 +1,164 @@
+"""The trials of a problem as they are compared, and what a population of candidates scores on them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sysid.types import BoolArray, FloatArray
+
+# The one cause of failure where a problem names none.
+UNNAMED_CAUSE = ("simulation failed",)
+
+Failed = BoolArray | NDArray[np.int8]
+
+
+class Cost(Protocol):
+    """An NRMSE: weights of the channels (C,), denominators (T, C) [channel unit]."""
+
+    weights: FloatArray
+    denominators: FloatArray
+
+    def mean(self, by_channel: FloatArray) -> FloatArray:
+        """Return the weighted mean (...) over channels, then over trials, of (..., T, C) NRMSE [1]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One prepared trial as it is compared.
+
+    Parameters
+    ----------
+    time : (n,) array
+        Compared instants on the log's clock [s].
+    measured, valid : (n, C) arrays
+        As compared [channel units], and which samples count.
+    provenance : mapping
+        Log, hash (``sha256``), what was noticed.
+    zero : float
+        Instant from which times are counted: the first touchdown, the window's start [s].
+    shown : mapping
+        Further fields of `TrialResult`: spectrum, thrust, commands.
+    """
+
+    name: str
+    use: Literal["fit", "validate"]
+    time: FloatArray
+    measured: FloatArray
+    valid: BoolArray
+    provenance: Mapping[str, Any]
+    zero: float
+    shown: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the log."""
+        return str(self.provenance["sha256"])
+
+
+@dataclass(frozen=True)
+class Block:
+    """The samples of one channel of one trial, both numbered from 0.
+
+    Parameters
+    ----------
+    start, stop : int
+        Its residuals are ``[start:stop]``, one per compared sample, 0 where a sample does not count.
+    count : int
+        Samples that count.
+    weight : float
+        In the mean NRMSE; all blocks sum to 1.
+    spread : float
+        What NRMSE divides by [unit of the channel].
+    noise : float
+        NRMSE that measurement noise alone costs [1].
+    """
+
+    trial: int
+    channel: int
+    start: int
+    stop: int
+    count: int
+    weight: float
+    spread: float
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """Correlations of residuals, each block scaled to unit variance.
+
+    `covariance` (C, C, L + 1) pairs channel c at a sample with c' later by the lag [1], for `channels`
+    in their order.
+    """
+
+    channels: tuple[int, ...]
+    covariance: FloatArray
+
+    @property
+    def inflation(self) -> FloatArray:
+        """(C,) samples of each channel that are worth one independent sample [1]."""
+        auto = np.array([self.covariance[c, c] for c in range(len(self.channels))])
+        return np.maximum(1.0, (auto[:, 0] + 2 * auto[:, 1:].sum(axis=1)) / np.maximum(auto[:, 0], 1e-300))
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What a population scores.
+
+    Parameters
+    ----------
+    by_channel : (P, T, C) array
+        NRMSE [1]; a penalty where the simulation is lost.
+    cause : (P, T) int8 array
+        Why it is lost: a number from 1 among the problem's `causes`; 0 where it is not.
+    """
+
+    by_channel: FloatArray
+    cause: NDArray[np.int8]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction(Scores):
+    """Scores, and the simulated signals as they are compared: (P, n, C) per trial [channel units]."""
+
+    signals: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Cost of one population.
+
+    Parameters
+    ----------
+    cost : (P,) array
+        NRMSE of each candidate [1]; finite, a failed candidate carries its graded penalty.
+    failed : (P,) bool or int8 array
+        Candidates of which at least one simulation failed: True, or the number (from 1) of its cause among
+        the problem's `causes`.
+    simulations : int
+        Simulations that were run (candidates × trials).
+    """
+
+    cost: FloatArray
+    failed: Failed
+    simulations: int
+
+
+def count_causes(failed: Failed, causes: tuple[str, ...]) -> dict[str, int]:
+    """Return how many candidates failed, by cause; causes that did not occur are left out."""
+    counts = np.bincount(np.asarray(failed, dtype=np.int64), minlength=len(causes) + 1)
+    return {cause: int(count) for cause, count in zip(causes, counts[1:], strict=True) if count}
+
+
+def first_cause(causes: NDArray[np.int8], count: int) -> NDArray[np.int8] | BoolArray:
+    """Return the cause by which a candidate (P,) counts, of its trials' (P, T); of one cause: whether."""
+    if count == 1:
+        return np.any(causes > 0, axis=1)
+    codes = np.where(causes > 0, causes, count + 1).min(axis=1)
+    return np.where(codes > count, 0, codes).astype(np.int8)
