@@ -1,5 +1,6 @@
 """Writers of logs that several tests share, and what several tests ask of what was loaded."""
 
+import re
 import struct
 
 import numpy as np
@@ -8,7 +9,8 @@ from hypothesis import HealthCheck, settings
 from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
-from sysid.loaders import load
+from sysid.loaders import detect, formats, load
+from sysid.loaders.options import DECLARED
 
 # One lbf and one lbf-in as the maker of the transducers states them.
 LBF, LBF_IN = 4.4482216152605, 0.1129848290276167
@@ -22,11 +24,19 @@ def examples(count):
 
 
 def refuses(path, sentence, error=LogError, **options):
-    """Load a log that must be refused in one sentence, which matches this pattern; return the sentence."""
+    """Load a log that must be refused in one sentence, which matches this pattern; return the sentence.
+
+    It may only name options that the log's format takes.
+    """
     with pytest.raises(error, match=sentence) as caught:
         load(path, **options)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+    said = str(caught.value)
+    assert "\n" not in said
+    advised = set(re.findall(r"\b(\w+) = ", said)) & set(DECLARED)
+    if advised:
+        known = formats()[options.get("format") or detect(path)].options
+        assert advised <= set(known), said
+    return said
 
 
 def notes(recording):

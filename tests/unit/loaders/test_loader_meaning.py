@@ -202,9 +202,8 @@ def test_vicon_sections_are_parted_by_any_blank_line(write, blank):
     assert list(log["cell/Fz"].values) == [5.0, 6.0, 7.0, 8.0]
 
 
-def test_a_format_without_time_back_does_not_advise_it(write):
-    path = write(_VICON.format(blank="", last=0), "log.csv")
-    assert "time_back" not in refuses(path, "time goes back")
+def test_time_that_goes_back_in_a_section_is_refused(write):
+    refuses(write(_VICON.format(blank="", last=0), "log.csv"), "time goes back")
 
 
 def test_hdf5_unit_may_be_an_array_of_one_text(tmp_path):
