@@ -54,7 +54,6 @@ UNITS = {
         "m/s": "impact_speed",
         "m/s²": "gravity gravity_error measured_gravity",
         "rad": "pitch",
-        "rad/s": "saturation_speed_range",
         "kg·m²": "inertia standard_error",
     }.items()
     for key in keys.split()

@@ -191,14 +191,11 @@ def interval_columns(row: Mapping[str, Any] | None) -> dict[str, Any]:
 def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
     """Return what a table prints instead of a number that the data do not determine; None where they do.
 
-    The bound of the profile replaces a parameter that lies below it; the interval replaces one that is not
-    identifiable. A parameter that rests on a guessed scale has no digits but the guess's.
+    The interval replaces a parameter that is not identifiable. A parameter that rests on a guessed scale has
+    no digits but the guess's.
     """
     if name in settings.get(NOT_ALONE, ()):
         return "not identifiable"
-    profile = settings.get("profiles", {}).get(name)
-    if profile and not profile["identified"]:
-        return f"< {profile['below']:.0e}"
     known = settings.get(INTERVALS, {}).get(name)
     if not known or not known["verdict"].startswith("not_"):
         return None

@@ -28,6 +28,7 @@ from sysid.motor.targets import filtered
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trials.bench_log import CommandSteps
 from sysid.trials.reversal import find_reversals
+from sysid.trust.profiles import ends
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray
 
@@ -41,8 +42,6 @@ _PROBES, _FELT = 32, 1e-6
 # Grid points of a profile over its bounds, near the fitted value, and of the other number at each point. Two
 # dead bands whose NRMSE differs by less than the last share are equally good.
 _EDGES, _NEAR, _CURRENTS, _LIMIT = 25, 17, 31, 0.01
-# A range of equally good edges is reported when its ends differ by this ratio.
-_WIDE = 1.5
 # Steps of the simulated thrust whose reversal is timed [s].
 _DELAY_GRID = 5e-4
 
@@ -119,14 +118,26 @@ def fit_saturation(
     )  # fmt: skip
 
 
-def band_profiles(problem: MotorProblem, row: FloatArray, fit: SaturationFit) -> dict[str, dict[str, Any]]:
-    """Return the NRMSE over I_sat and over Ω_min, each with the best value of the other, by name.
+@dataclass(frozen=True, eq=False)
+class BandProfile:
+    """NRMSE (k,) [1] over ascending values (k,) of I_sat or Ω_min [SI], the other at its best at each.
 
-    `row` (n_table,) is a set with its dead band [SI]. A document has ``values`` [SI] and ``nrmse`` [1] along
-    the bounds, ``interval`` within which the NRMSE is at most 1 % above the best, ``open`` where a bound ends
-    it, and ``verdict`` on half its width (`sysid.trust.verdicts`). The other number is tried around the
-    fitted ratio Ω_min/I_sat, which a reversal determines best, and over all its bounds, for edges so low that
-    no current matters. One that the stage did not free keeps its value.
+    Within the `interval` [SI] it is at most 1 % above the lowest; an `opened` end is a bound of the search.
+    """
+
+    values: FloatArray
+    nrmse: FloatArray
+    interval: tuple[float, float]
+    opened: tuple[bool, bool]
+    verdict: str
+
+
+def band_profiles(problem: MotorProblem, row: FloatArray, fit: SaturationFit) -> dict[str, BandProfile]:
+    """Return the profiles of I_sat and Ω_min by name, as far as the stage freed them.
+
+    `row` (n_table,) is a set with its dead band [SI]. The other number is tried around the fitted ratio
+    Ω_min/I_sat, which a reversal determines best, and over all its bounds, for edges so low that no current
+    matters. One that the stage did not free keeps its value.
     """
     free = {parameter.name: parameter for parameter in fit.free if parameter.name in SATURATION}
     table, bench = problem.space.table, problem.bench
@@ -146,44 +157,15 @@ def band_profiles(problem: MotorProblem, row: FloatArray, fit: SaturationFit) ->
             others = np.clip(np.hstack([around, over]), low, high)
         tried = {name: np.repeat(values, others.shape[1]), other: others.ravel()}
         cost = objective.nrmse_with(row, **tried).reshape(others.shape).min(axis=1)
-        out[name] = _band_document(values, cost, best)
+        below, above = ends(np.log(values), cost / cost.min() - 1.0, _LIMIT)
+        interval = (
+            float(values[0] if below is None else np.exp(below)),
+            float(values[-1] if above is None else np.exp(above)),
+        )
+        opened = (below is None, above is None)
+        half = np.inf if any(opened) else (interval[1] - interval[0]) / 2 / best
+        out[name] = BandProfile(values, cost, interval, opened, verdict(half))
     return out
-
-
-def _band_document(values: FloatArray, cost: FloatArray, best: float) -> dict[str, Any]:
-    """Return a profile of ascending values (n,) [SI] as a result states it; see `band_profiles`."""
-    serve = np.flatnonzero(cost <= (1.0 + _LIMIT) * cost.min())
-    first, last = int(serve[0]), int(serve[-1])
-    open_ends = [first == 0, last == len(values) - 1]
-    limit = (1.0 + _LIMIT) * cost.min()
-
-    def crossing(inside: int, outside: int) -> float:
-        """Return where the limit lies between two values; a bound where nothing is outside."""
-        if not 0 <= outside < len(values):
-            return float(values[inside])
-        share = (limit - cost[inside]) / (cost[outside] - cost[inside])
-        return float(values[inside] * (values[outside] / values[inside]) ** share)
-
-    low, high = crossing(first, first - 1), crossing(last, last + 1)
-    half = np.inf if any(open_ends) else (high - low) / 2 / best
-    return {
-        "values": values.tolist(), "nrmse": cost.tolist(), "best_nrmse": float(cost.min()), "limit": _LIMIT,
-        "interval": [low, high], "open": open_ends, "verdict": verdict(half),
-    }  # fmt: skip
-
-
-def edges_that_serve(profiles: Mapping[str, Mapping[str, Any]]) -> tuple[float, float] | None:
-    """Return the range of Ω_min [rad/s] over which the trials fit equally well, each with its best I_sat.
-
-    None where the stage did not free both numbers, or the trials bound Ω_min within a factor of 1.5.
-    """
-    if not {*SATURATION} <= {*profiles}:
-        return None
-    profile = profiles[SATURATION[1]]
-    values, cost = np.array(profile["values"]), np.array(profile["nrmse"])
-    serve = values[cost <= (1.0 + _LIMIT) * cost.min()]
-    lowest, highest = float(serve.min()), float(serve.max())
-    return (lowest, highest) if highest > _WIDE * lowest else None
 
 
 def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, float]) -> list[dict[str, Any]]:

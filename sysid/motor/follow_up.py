@@ -1,4 +1,4 @@
-"""What follows the search of a motor fit: dead band, ladder, profile, and what is noticed about them."""
+"""What follows the search of a motor fit: dead band, ladder, and what is noticed about them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from sysid.fit.stopping import CutReason, CutShort
 from sysid.journal import Finding, folded, note, notice, spoken, tell
 from sysid.motor.bench_logs import campaign_range
 from sysid.motor.dead_band import (
+    BandProfile,
     SaturationFit,
     band_profiles,
-    edges_that_serve,
     fit_saturation,
     reversal_delays,
     saturation_space,
@@ -27,16 +27,16 @@ from sysid.motor.ladder import climb, ladder_doubt
 from sysid.motor.log_delays import MEAN_SOURCE, averaged, delay_name, log_rows
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
-from sysid.motor.profile import profile
 from sysid.motor.static_curves import CurveFit, no_load_line
 from sysid.motor.targets import PreparedTrial
 from sysid.parameter_sets import COMBINATIONS, INTERVALS, NOT_ALONE, ParameterRecord, parameter_records
-from sysid.parameters import SearchSpace
 from sysid.types import FloatArray
 
 # The delay of a held-out log is looked for in these steps [s], this number of steps to either side.
 _DELAY_STEPS, _DELAY_REACH = (4e-3, 4e-4, 1e-4), 20
-_LADDER, _PROFILES, _PROFILED = "ladder", "profiles", "viscous_damping"
+_LADDER = "ladder"
+# Ratio of the ends of a range of equally good edges of the dead band from which a fit warns of it.
+_WIDE = 1.5
 _WHY: dict[CutReason, str] = {
     "interrupted": "the fit was interrupted",
     "time": "the time limit ended the fit",
@@ -114,7 +114,7 @@ def curve_sentence(fit: CurveFit) -> str:
 
 
 def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
-    """Fit the dead band, rank the final sets, climb the ladder, walk the profile, notice what is doubtful.
+    """Fit the dead band, rank the final sets, climb the ladder, notice what is doubtful.
 
     The sets are ranked by the NRMSE of their final values over the fitted forward and reverse trials, starts
     from rest included. Where the fit is cut short, before this or in one of these steps, the missing steps
@@ -137,19 +137,25 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     settings: dict[str, Any] = {}
     if cut is None:
         best = unpack(rows[0], space.table)
+        profiles = {} if band is None else band_profiles(problem, rows[0], band)
         settings |= {
             "reversal_delays": reversal_delays(campaign, bench, best),
             "command_delays": log_delays(problem, rows[0]),
-            "saturation": _about_saturation(problem, band, rows[0], given),
+            "saturation": _about_saturation(problem, band, profiles, best, given),
         }
-        # Without a scale the current itself means nothing, whatever range of it serves.
-        alone = () if bench.scale_known else SATURATION[:1]
-        ranges = settings["saturation"].get(_PROFILES, {})
-        settings[INTERVALS] = _band_intervals({name: ranges[name] for name in ranges if name not in alone})
-        cut = _judge(problem, course, sets, best, band is not None or given, settings)
+        settings[INTERVALS] = {
+            name: {
+                "interval_95": list(one.interval), "open_95": list(one.opened), "verdict": one.verdict,
+                "doubt": "the range over which the NRMSE of its trials is within 1 % of the lowest",
+            }
+            for name, one in profiles.items()
+            # Without a scale the current itself means nothing, whatever range of it serves.
+            if bench.scale_known or name != SATURATION[0]
+        }  # fmt: skip
+        cut = _judge(problem, course, best, band is not None or given, settings)
     else:
         settings["saturation"] = {"fitted": False, "why": _WHY[cut]}
-        _notice_cut(cut, space, settings, "the dead band was not fitted")
+        _notice_cut(cut, "the dead band was not fitted")
     if not bench.scale_known:
         settings |= _scale_free(band is not None or given)
     _notice_unresolved_inductance(problem, rows[0])
@@ -189,10 +195,13 @@ def _ranked(
 
 
 def _about_saturation(
-    problem: MotorProblem, band: SaturationFit | None, row: FloatArray, given: bool
+    problem: MotorProblem,
+    band: SaturationFit | None,
+    profiles: Mapping[str, BandProfile],
+    best: Mapping[str, float],
+    given: bool,
 ) -> dict[str, Any]:
     """Return what the result states of the second stage; notice what is doubtful about it."""
-    best = unpack(row, problem.space.table)
     if band is None:
         why = "given by the campaign"
         if not given:
@@ -215,27 +224,19 @@ def _about_saturation(
             "the dead band rests on starts from rest alone: it does not describe a controller that reverses "
             "in another way; add a reversal trial of use = 'fit'",
         )
-    profiles = band_profiles(problem, row, band)
-    edges = edges_that_serve(profiles)
-    if edges is not None:
-        notice(
-            "dead-band-edge-open",
-            f"{parts} of {trials} do not determine saturation_speed: from {edges[0]:.2g} to {edges[1]:.2g} "
-            "rad/s, each with the saturation_current that fits best, the NRMSE is within 1 % of the "
-            "lowest; its digits mean nothing",
-        )
-    return band.document() | {"saturation_speed_range": edges, _PROFILES: profiles}
-
-
-def _band_intervals(profiles: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return intervals and verdicts of the dead band as the trust of a fit states the others'."""
-    doubt = "the range over which the NRMSE of its trials is within 1 % of the lowest"
-    return {
-        name: {
-            "interval_95": row["interval"], "open_95": row["open"], "verdict": row["verdict"], "doubt": doubt
-        }
-        for name, row in profiles.items()
-    }  # fmt: skip
+    if {*SATURATION} <= {*profiles}:
+        low, high = profiles[SATURATION[1]].interval
+        if high > _WIDE * low:
+            notice(
+                "dead-band-edge-open",
+                f"{parts} of {trials} do not determine saturation_speed: from {low:.2g} to {high:.2g} rad/s, "
+                "each with the saturation_current that fits best, the NRMSE is within 1 % of the lowest; its "
+                "digits mean nothing",
+            )
+    walked = {
+        name: {"values": one.values.tolist(), "nrmse": one.nrmse.tolist()} for name, one in profiles.items()
+    }
+    return band.document() | {"profiles": walked}
 
 
 def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
@@ -269,13 +270,12 @@ def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
 def _judge(
     problem: MotorProblem,
     course: Course,
-    sets: RankedSets,
     best: Mapping[str, float],
     banded: bool,
     settings: dict[str, Any],
 ) -> CutReason | None:
-    """Climb the ladder, profile k_d, check the inertia, and add to `settings`; return what cut this short."""
-    bench, space = problem.bench, problem.space
+    """Climb the ladder, check the inertia, and add to `settings`; return what cut this short."""
+    bench = problem.bench
     drop = best["winding_resistance"] / (best["torque_constant"] * best["back_emf_constant"])
     settings["static_curves_of_best_set"] = [
         tie.fit(direction, drop, best["viscous_damping"]).document()
@@ -288,15 +288,9 @@ def _judge(
         below = (None, *rungs[:-1])
         settings[_LADDER] = [rung.document(other) for rung, other in zip(rungs, below, strict=True)]
         _notice(ladder_doubt(rungs))
-        if _PROFILED in space.names:
-            # Of the torque curve's linear coefficient, which the rotor's equation adds to k_d.
-            errors = [fit.standard_errors[1] for fit in bench.curves.fits if fit.quantity == "torque"]
-            damping = profile(problem.fitted, _PROFILED, sets.cube[0], max(errors), course.go_on)
-            settings[_PROFILES] = {damping.row.name: damping.document()}
-            _notice(damping.doubt)
     except CutShort as error:
         cut = error.reason
-        _notice_cut(cut, space, settings)
+        _notice_cut(cut)
     curve = {name: best[name] for name in PARAMETERS}
     inertia = spike_inertia(problem.campaign, [trial.log for trial in bench.fitted], curve)
     settings["rotor_inertia_from_torque_spikes"] = inertia.document()
@@ -309,14 +303,10 @@ def _notice(doubt: Finding | None) -> None:
         notice(doubt.code, doubt.sentence, parameters=doubt.parameters)
 
 
-def _notice_cut(cut: CutReason, space: SearchSpace, done: Mapping[str, Any], *missing: str) -> None:
-    """Name what a fit that was cut short has not looked at; `done` are the settings so far."""
-    out = [*missing]
-    if _LADDER not in done:
-        out.append("the ladder of simpler models was not climbed")
-    if _PROFILED in space.names and _PROFILES not in done:
-        out.append(f"{_PROFILED} was not profiled, so its digits may mean nothing")
-    notice("cut-short", f"{_WHY[cut]}: {'; '.join(out)}; continue it with --resume")
+def _notice_cut(cut: CutReason, *missing: str) -> None:
+    """Name what a fit that was cut short has not looked at."""
+    parts = [*missing, "the ladder of simpler models was not climbed"]
+    notice("cut-short", f"{_WHY[cut]}: {'; '.join(parts)}; continue it with --resume")
 
 
 def _scale_free(banded: bool) -> dict[str, Any]:

@@ -353,20 +353,3 @@ def figure_correlation(document: Mapping[str, Any]) -> Figure:
         axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color=colour)
     figure.colorbar(drawn, ax=axes, shrink=0.8, label="correlation [1]")
     return figure
-
-
-def figure_nrmse_profile(symbol: str, unit: str, profile: Mapping[str, Any]) -> Figure:
-    """Draw a profile of the cost itself, as `fit-motor` walks for the damping."""
-    figure, axes = panel(2.8)
-    best = float(profile["best_nrmse"])
-    values, cost = np.array(profile["values"]), np.array(profile["nrmse"])
-    axes.loglog(values, cost / best, color=BEST, marker="o", markersize=3.5, linewidth=1.3)
-    limit = float(profile["limit"])
-    words = f"{100 * limit:g} % above the best"
-    axes.axhline(1 + limit, color="0.5", linewidth=0.8, linestyle="--", label=words)
-    if not profile["identified"]:
-        ends, words = (values.min(), float(profile["below"])), "values not told apart"
-        axes.axvspan(*ends, color=OTHERS, alpha=0.3, linewidth=0, label=words)
-    axes.legend(frameon=False, fontsize=8, loc="upper left")
-    axes.set(xlabel=axis_label(as_math(symbol), unit), ylabel="NRMSE / best [1]")
-    return figure

@@ -42,7 +42,6 @@ from sysid.report.fit_figures import (
     figure_convergence,
     figure_correlation,
     figure_measured_against_simulated,
-    figure_nrmse_profile,
     figure_profile,
     figure_spectrum,
     figure_spread,
@@ -425,16 +424,8 @@ class FitReport:
         " stays low, the data do not tell the values apart.",
     )
     def profiles(self) -> Html:
-        """Return the profiles of the cost and of the likelihood."""
+        """Return the profiles of the likelihood."""
         pieces = []
-        for record, profile in self._cost_profiles():
-            words = f"NRMSE over {in_words(record)}, all others fitted again"
-            more = f"Dashed: {100 * profile['limit']:g} % above the best NRMSE."
-            if not profile["identified"]:
-                below = f"{profile['below']:.0e} {record.unit}"
-                more += f" Blue: below {below} the data tell no value from another."
-            figure = figure_nrmse_profile(record.symbol, record.unit, profile)
-            pieces.append(picture(figure, words, f"{words}. {more}"))
         for row, *curve in self.likelihood_profiles:
             words = f"deviance over {row['name']}, all others fitted again: {verdict_words(row['verdict'])}"
             pieces.append(picture(figure_profile(row, *curve), words))
@@ -541,9 +532,6 @@ class FitReport:
         out["waterfall"] = figure_waterfall(self.fit)
         out["spread"] = figure_spread(self.fit)
         out |= {f"spectrum-{name}": figure for name, figure in self._spectra().items()}
-        for record, profile in self._cost_profiles():
-            figure = figure_nrmse_profile(record.symbol, record.unit, profile)
-            out[file_name(f"profile-nrmse-{record.name}")] = figure
         if self.trust is not None:
             out["correlation"] = figure_correlation(self.trust)
         if self.climbed is not None:
@@ -570,10 +558,6 @@ class FitReport:
         mean = percent_text(float(trial_means(fit, trial)[0]))
         name = f"{fit.name}, {trial.name}" if fit is self.against else trial.name
         return f"{name} ({USES[trial.use]}{self.conditions(fit, trial)}): NRMSE {mean}"
-
-    def _cost_profiles(self) -> list[tuple[Any, dict[str, Any]]]:
-        known = {record.name: record for record in self.fit.parameters}
-        return [(known[name], each) for name, each in (self.fit.settings.get("profiles") or {}).items()]
 
     def _spectra(self) -> dict[str, Figure]:
         spectra = [trial.spectrum for trial in self.trials if trial.spectrum is not None]

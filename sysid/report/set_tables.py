@@ -37,8 +37,6 @@ _AT_BOUND, _UNFIXED = "*", "†"
 _FLAG = f"{_AT_BOUND} ends within 1 % of a bound of the search"
 _SPREAD = "σ is the spread of the runs, not the accuracy; it includes runs that ended elsewhere"
 _NOISE = "the NRMSE of a velocity (ẋ_B, ż_B) is mostly noise: velocities are differentiated positions"
-# What the two bounds of a parameter are that the data do not determine.
-_TWO_BOUNDS = "<: above it the NRMSE grows by over 1 %; ≤: the end of the 95 % interval, from noise alone"
 # Channels whose symbol is another than their name.
 
 
@@ -271,11 +269,9 @@ def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
     def within(i: int) -> str:
         return interval(intervals[sets.names[i]], 95) if sets.names[i] in intervals else NONE
 
-    records = list(enumerate(sets.parameters))
-    bounded = any(found(i).startswith("<") and within(i) != NONE for i, _ in records)
     return table(
         f"{sets.name}: found against true",
-        [i for i, record in records if _is_found(sets, record) and record.name in truth],
+        [i for i, record in enumerate(sets.parameters) if _is_found(sets, record) and record.name in truth],
         (
             words("parameter", lambda i: name_and_unit(sets.parameters[i].symbol, sets.parameters[i].unit)),
             numbers("true", lambda i: rounded(truth[sets.names[i]])),
@@ -284,7 +280,6 @@ def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
             numbers("95 % interval", within),
             words("inside", inside),
         ),
-        _TWO_BOUNDS if bounded else "",
     )
 
 

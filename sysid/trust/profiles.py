@@ -193,16 +193,15 @@ def _profile(
     deviance = np.maximum((squares - least) / inflation, 0.0)
     centre = int(np.argmin(deviance))
 
-    def ends(limit: float) -> tuple[tuple[float, float], tuple[bool, bool]]:
-        low = _crossing(points[:, i], deviance, list(range(centre, -1, -1)), limit)
-        high = _crossing(points[:, i], deviance, list(range(centre, len(points))), limit)
+    def interval(limit: float) -> tuple[tuple[float, float], tuple[bool, bool]]:
+        low, high = ends(points[:, i], deviance, limit)
         cube = np.full((2, len(space.free)), 0.5)
         cube[:, i] = 0.0 if low is None else low, 1.0 if high is None else high
         below, above = space.decode(cube)[:, i].tolist()
         return (below, above), (low is None, high is None)
 
-    interval_68, open_68 = ends(CHI2[0.68])
-    interval_95, open_95 = ends(CHI2[0.95])
+    interval_68, open_68 = interval(CHI2[0.68])
+    interval_95, open_95 = interval(CHI2[0.95])
     row, decoded = space.free[i], space.decode(points)
     return Profile(
         row.name, row.unit, decoded[:, i], deviance, decoded, float(decoded[centre, i]),
@@ -210,16 +209,19 @@ def _profile(
     )  # fmt: skip
 
 
-def _crossing(place: FloatArray, deviance: FloatArray, outward: list[int], limit: float) -> float | None:
-    """Return where the deviance exceeds a limit for good, between points by its square root."""
-    above = [deviance[k] > limit for k in outward]
-    if not any(above):
-        return None
-    # The outermost point below the limit: a bump inside does not end an interval.
-    inside = max((j for j, high in enumerate(above) if not high), default=0)
-    if inside + 1 >= len(outward):
-        return None
-    a, b = outward[inside], outward[inside + 1]
-    low, high = np.sqrt(deviance[a]), np.sqrt(deviance[b])
-    share = (np.sqrt(limit) - low) / (high - low)
-    return float(place[a] + share * (place[b] - place[a]))
+def ends(place: FloatArray, rise: FloatArray, limit: float) -> tuple[float | None, float | None]:
+    """Return below and above which ascending places (k,) a rise (k,) exceeds a limit for good.
+
+    The rise is 0 at its least; between two places its square root is linear. None: the end is open.
+    """
+    # A bump between two points below the limit ends no interval.
+    within = np.flatnonzero(rise <= limit)
+    out: list[float | None] = []
+    for inside, outside in ((within[0], within[0] - 1), (within[-1], within[-1] + 1)):
+        if not 0 <= outside < len(place):
+            out.append(None)
+            continue
+        low, high = np.sqrt(rise[inside]), np.sqrt(rise[outside])
+        share = (np.sqrt(limit) - low) / (high - low)
+        out.append(float(place[inside] + share * (place[outside] - place[inside])))
+    return out[0], out[1]

@@ -375,4 +375,4 @@ def test_an_interrupted_fit_says_what_it_has_not_looked_at(forward: Path) -> Non
     # Torque and speed fix no R, L or I_sat alone, interrupted or not.
     assert {"winding_resistance", "winding_inductance", "saturation_current"} <= {*after.settings[NOT_ALONE]}
     (finding,) = (finding for finding in journal.findings if finding.code == "cut-short")
-    assert "viscous_damping was not profiled" in finding.sentence
+    assert "the ladder of simpler models was not climbed" in finding.sentence

@@ -122,17 +122,10 @@ def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path
     worst = max(abs(d["measured"] - d["simulated"]) for d in result.settings["reversal_delays"])
     assert worst < 8e-3  # 5 ms, and the noise of the thrust at 90 % of 1 N
     _ladder_climbs(result)
-    # k_d = 9.2e-9 drags by 5 µN·m beside 40 mN·m: any small value serves.
-    damping = result.settings["profiles"]["viscous_damping"]
-    assert not damping["identified"]
-    assert 9.2e-9 < damping["below"] < 1e-6
-    assert any("viscous damping (k_d) is not identifiable" in one for one in result.warnings), result.warnings
     capsys.readouterr()
     print_sets(folder, json=False)
     shown = capsys.readouterr().out
     assert "what each step of the model buys" in shown
-    assert shown.count(f"< {damping['below']:.0e}") == 2  # ranked sets, means: a bound, no digits
-    assert f"< {damping['below']:.0e}" in (folder / "summary.txt").read_text(encoding="utf-8")
 
 
 def _delay(parameters: dict, before: float, after: float) -> float:
@@ -178,7 +171,6 @@ def test_full_fit_of_five_runs(
         for before, after in ((0.62, -1.0), (-0.62, 0.8)):
             # Required: 5 ms.
             assert _delay(values, before, after) == pytest.approx(_delay(TRUTH, before, after), abs=5e-3)
-    assert not result.settings["profiles"]["viscous_damping"]["identified"]
     assert np.all(result.nrmse < PAPER)
     # Required: sets of one optimum agree within 1 % in every parameter that no warning doubts.
     # The dead band is found after the search: an optimum is that of both stages.

@@ -343,9 +343,7 @@ def motor_fit():
     commands = np.array([[0.0, 0.6], [0.5, -1.0], [1.2, 0.6], [2.0, -1.0]])
     commands[:, 0] += start
     trials = tuple(replace(t, thrust=np.linspace(0, 3, 600), commands=commands) for t in fit.trials)
-    profile = {"values": [1e-10, 1e-8, 1e-6], "nrmse": [0.1, 0.1, 0.2], "best_nrmse": 0.1, "limit": 0.01,
-               "identified": False, "below": 1e-7}  # fmt: skip
-    return replace(fit, trials=trials, settings={"profiles": {"leg_axial_stiffness": profile}})
+    return replace(fit, trials=trials)
 
 
 def test_the_figures_of_a_motor_for_a_paper(tmp_path, monkeypatch):
@@ -354,7 +352,6 @@ def test_the_figures_of_a_motor_for_a_paper(tmp_path, monkeypatch):
     figures = report.figures()
     names = {f"reversal-drop-{t}-{k}" for t in (1, 2, 3, 4) for k in (1, 2, 3)}
     assert {name for name in figures if name.startswith("reversal")} == names
-    assert "profile-nrmse-leg_axial_stiffness" in figures
     for name in ("reversal-drop-1-1", "thrust-drop-1"):
         (legend,) = figures[name].legends
         labels = [text.get_text() for text in legend.get_texts()]
@@ -363,14 +360,11 @@ def test_the_figures_of_a_motor_for_a_paper(tmp_path, monkeypatch):
     # 0 is the command.
     assert top.get_xlim() == pytest.approx((-0.1, 0.5), abs=0.006)
     assert bottom.get_xlabel() == "time after the command [s]"
-    legend = figures["profile-nrmse-leg_axial_stiffness"].axes[0].get_legend()
-    assert [text.get_text() for text in legend.get_texts()] == ["1 % above the best", "values not told apart"]
     text = report.reversals().text
     assert text.count("<img") == 6
     assert "6 of 12 reversals are drawn" in text
     # Those held back are among them.
     assert "drop-4 (not fitted): from +60 % to −100 %" in text
-    assert "Blue: below 1e-07 N/m the data tell no value from another." in report.profiles().text
 
 
 def test_the_options_of_the_animation_tell_the_drops_apart(drop_fit, tmp_path):

@@ -15,7 +15,7 @@ from sysid.trust.jacobian import jacobian
 from sysid.trust.least_squares import search_around, solve
 from sysid.trust.linearized import NORMAL_95, bounded_information, half_widths, information, noise_model
 from sysid.trust.problem import nrmse_of, scales
-from sysid.trust.profiles import _crossing
+from sysid.trust.profiles import ends
 from sysid.trust.sensitivity import drawn_outlooks, expectations, morris, rank_candidates
 from sysid.trust.verdicts import sentences, verdict
 
@@ -190,11 +190,11 @@ def test_two_parameters_that_trade_name_each_other_and_widen_each_other():
 
 def test_a_bump_inside_does_not_end_an_interval():
     place = np.linspace(0.5, 1.0, 5)
-    outward = list(range(5))
-    assert _crossing(place, np.array([0.0, 1.0, 5.0, 1.0, 2.0]), outward, 3.84) is None
-    end = _crossing(place, np.array([0.0, 4.5, 1.0, 9.0, 16.0]), outward, 4.0)
+    assert ends(place, np.array([0.0, 1.0, 5.0, 1.0, 2.0]), 3.84) == (None, None)
+    below, above = ends(place, np.array([0.0, 4.5, 1.0, 9.0, 16.0]), 4.0)
+    assert below is None
     # Between 1 and 3 on the scale of the square root, in the middle.
-    assert end == pytest.approx(0.8125)
+    assert above == pytest.approx(0.8125)
 
 
 def test_an_interval_that_a_bound_cuts_is_open_on_that_side_alone():
