@@ -68,8 +68,8 @@ class LogFormat:
 # Modules in `sysid.loaders.readers`, in the order of lists and messages.
 _BUILT_IN = (
     "rcbenchmark_csv", "load_cell_csv", "load_cell_hdf5", "ati_text", "net_ft_csv", "tdms", "lvm", "mat",
-    "motive_csv", "pose_table", "motive_legacy", "vicon_csv", "qualisys_tsv", "c3d", "ros_csv", "ros_bag",
-    "ulog", "sysid_hdf5",
+    "motive_csv", "pose_table", "vicon_csv", "qualisys_tsv", "c3d", "ros_csv", "ros_bag",
+    "sysid_hdf5",
 )  # fmt: skip
 
 
@@ -124,7 +124,22 @@ def _hint(word: str, known: Iterable[str]) -> str:
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
+def _refuse_former(source: Source) -> None:
+    """Refuse a log of a format that sysid no longer reads."""
+    if source.head.startswith(b"ULog\x01\x12\x35"):
+        raise LogError(
+            f"{source.path}: a PX4 ULog, which sysid does not read: no fit takes what a drone logs itself; "
+            "give the log of the motion capture or of the thrust stand"
+        )
+    if any(line.strip().casefold().startswith("info,version,1.") for line in source.head_lines[:60]):
+        raise LogError(
+            f"{source.path}: an export of OptiTrack Motive 1.1 or Tracking Tools (one row per frame, 2012), "
+            "which sysid does not read; open the take in Motive 2 or later and export it again as CSV"
+        )
+
+
 def _detect(source: Source) -> LogFormat:
+    _refuse_former(source)
     known = formats()
     votes = {name: entry.recognize(source) for name, entry in known.items()}
     winners = [name for name, vote in votes.items() if vote == max(votes.values()) > NO]

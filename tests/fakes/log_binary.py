@@ -4,7 +4,6 @@ A log is bytes; a damage takes bytes and a random generator and returns bytes.
 """
 
 import io
-import struct
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +11,7 @@ from tempfile import TemporaryDirectory
 import h5py
 import numpy as np
 
-from fakes.log_files import c3d, quaternions_of, ros_recording, small_turns, tdms, ulog
+from fakes.log_files import c3d, quaternions_of, ros_recording, small_turns, tdms
 from sysid.loaders import load
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 
@@ -85,22 +84,6 @@ def _c3d(folder):
     return c3d(folder / "log.c3d", points, analogs={"Fz": ("N", random.normal(size=40))})
 
 
-def _ulog(folder):
-    random = np.random.default_rng(10)
-    stamps = 1_000_000 + np.arange(30) * 4000
-    turns = quaternions_of(small_turns(random, 30))
-    poses = np.column_stack([random.normal(size=(30, 3)), turns]).astype("<f4")
-    volts = random.normal(size=(30, 2)).astype("<f4") + 12
-    rows = [
-        [struct.pack("<Q", t) + row.tobytes() for t, row in zip(stamps, table, strict=True)]
-        for table in (poses, volts)
-    ]
-    return ulog(
-        folder / "log.ulg", ("vehicle_odometry", "float[3] position;float[4] q;", rows[0]),
-        ("battery_status", "float voltage_v;float current_a;", rows[1]),
-    )  # fmt: skip
-
-
 def _ros(form):
     def write(folder):
         random = np.random.default_rng(11)
@@ -126,7 +109,6 @@ _WRITERS = {
     "mat-7.3": ("mat", _mat73, {"units": MAT_UNITS}),
     "tdms": ("tdms", _tdms, {}),
     "c3d": ("c3d", _c3d, {}),
-    "ulog": ("ulog", _ulog, {}),
     "ros-bag": ("ros-bag", _ros("bag"), {}),
     "ros-mcap": ("ros-bag", _ros("mcap"), {}),
     "ros-sqlite": ("ros-bag", _ros("sqlite"), {}),

@@ -1,7 +1,6 @@
 """Writers of logs that several tests share, and what several tests ask of what was loaded."""
 
 import re
-import struct
 
 import numpy as np
 import pytest
@@ -68,27 +67,6 @@ def assert_turns(channel, quaternions, lost, atol):
     got, wanted = channel.values[~lost], quaternions[~lost]
     np.testing.assert_allclose(np.abs(np.sum(got * wanted, axis=1)), 1, atol=atol)
     assert np.all(np.sum(got[1:] * got[:-1], axis=1) >= 0)
-
-
-def ulog(path, *topics):
-    """Write a ULog by the format's definition.
-
-    A topic is (name, fields, rows[, instance]); a row is bytes that begin with its stamp.
-    """
-    pytest.importorskip("pyulog", reason="pyulog comes with the test extra")
-
-    def message(kind, body):
-        return struct.pack("<HB", len(body), ord(kind)) + body
-
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1000) + message("B", bytes(40))
-    for name, fields, *_ in topics:
-        out += message("F", f"{name}:uint64_t timestamp;{fields}".encode())
-    for number, (name, _, _, *instance) in enumerate(topics):
-        out += message("A", struct.pack("<BH", *(instance or [0]), number) + name.encode())
-    rows = [(row[7::-1], number, row) for number, topic in enumerate(topics) for row in topic[2]]
-    out += b"".join(message("D", struct.pack("<H", number) + row) for _, number, row in sorted(rows))
-    path.write_bytes(out)
-    return path
 
 
 def c3d(path, points, *, labels=None, rate=100.0, unit="mm", residuals=None, analogs=None, trial=None):

@@ -164,16 +164,6 @@ def qualisys():
     return "\r\n".join([*lines, ""]).encode("utf-8"), truth
 
 
-def legacy():
-    lines = ['comment,"OptiTrack Export Data"', "righthanded", "info,version,1.1", "info,framecount,40"]
-    for i, place in enumerate(np.random.default_rng(8).normal(size=(40, 9))):
-        x = [f"{number:.6f}" for number in place]
-        markers = [f"{x[3 * k]},{x[3 * k + 1]},{x[3 * k + 2]},{k},M{k}" for k in range(i % 4)]
-        body = f"1,{x[0]},{x[1]},{x[2]},0,0,0.6,0.8,0,0,73.7"
-        lines.append(",".join([f"frame,{i},{i / 120:.8f},1", body, str(len(markers)), *markers]))
-    return "\r\n".join([*lines, ""]).encode("utf-8"), {}
-
-
 def ros():
     names = "%time,field.header.seq,field.header.stamp,field.header.frame_id"
     names += "".join(f",field.pose.position.{axis}" for axis in "xyz")
@@ -265,7 +255,6 @@ LOGS = {
     ),
     "vicon-csv": Log(vicon(), ",", 3, 5, (*_LENGTHS, ("\n100,", "\n200,"))),
     "qualisys-tsv": Log(qualisys(), "\t", 7, 8, (("FREQUENCY\t200", "FREQUENCY\t250"), ("6D", "3D"))),
-    "motive-legacy": Log(legacy(), ",", None, 4, (("righthanded", "lefthanded"),)),
     "ros-csv": Log(ros(), ",", 0, 1, (("position", "covariance"), ("orientation", "position"))),
     "net-ft-csv": Log(
         net_ft(), ",", 6, 7, (("Force Units: N", "Force Units: lbf"), ("Units: Nm", "Units: lbf-in"),

@@ -15,7 +15,6 @@ from fakes.log_files import (
     refuses,
     ros_recording,
     small_turns,
-    ulog,
 )
 from sysid.loaders import load
 
@@ -170,54 +169,3 @@ def test_ros_recordings(tmp_path_factory, seed, form, kind, names):
             np.testing.assert_allclose(log[f"{body}/position"].time, stated, rtol=0, atol=STAMP)
             np.testing.assert_array_equal(log[f"{body}/position"].values, position)
             assert_turns(log[f"{body}/orientation"], quaternions, lost[name], 1e-12)
-
-
-ULOG_TOPICS = {
-    "vehicle_odometry": "float[3] position;float[4] q;", "battery_status": "float voltage_v;float current_a;",
-    "actuator_motors": "float[4] control;",
-    "sensor_combined": "float[3] gyro_rad;float[3] accelerometer_m_s2;", "unknown_to_us": "uint8_t[5] other;",
-}  # fmt: skip
-ULOG_WIDTHS = {"battery_status": 2, "actuator_motors": 4, "sensor_combined": 6, "unknown_to_us": 5}
-
-
-@SETTINGS
-@given(SEEDS, st.lists(st.sampled_from(sorted(ULOG_TOPICS)), min_size=0, max_size=4, unique=True))
-def test_ulog(tmp_path, seed, others):
-    random = np.random.default_rng(seed)
-    topics = {}
-    for name in sorted({"vehicle_odometry", *others}):
-        count = int(random.integers(1, 40))
-        stamps = 1_000_000 + np.cumsum(random.integers(1, 4, count)) * int(random.choice([4000, 10_001]))
-        width = ULOG_WIDTHS.get(name)
-        table = random.normal(size=(count, width or 7)).astype("<f4")
-        if width is None:
-            position, quaternions, lost = random_walk(random, count)
-            table[:, :3], table[:, 3:] = position, quaternions
-            table[lost] = np.nan
-        elif width == 5:
-            table = random.integers(0, 255, (count, 5)).astype("u1")
-        else:
-            table[random.uniform(size=table.shape) < 0.2] = np.nan
-            table[0] = 1
-        topics[name] = (stamps, table)
-    rows = {
-        name: [struct.pack("<Q", t) + row.tobytes() for t, row in zip(*topic, strict=True)]
-        for name, topic in topics.items()
-    }
-    log = load(ulog(tmp_path / "log.bin", *((name, ULOG_TOPICS[name], rows[name]) for name in rows)))
-    stamps, table = topics["vehicle_odometry"]
-    np.testing.assert_allclose(log["vehicle/position"].time, stamps * 1e-6, rtol=1e-14)
-    np.testing.assert_array_equal(log["vehicle/position"].values, table[:, :3].astype(float))
-    # Quaternions are normalised, also where they are of single precision.
-    assert_turns(log["vehicle/orientation"], table[:, 3:].astype(float), lost, 1e-6)
-    places = {
-        "voltage": ("battery_status", 0), "current": ("battery_status", 1), "motor_0": ("actuator_motors", 0),
-        "motor_3": ("actuator_motors", 3), "angular_velocity": ("sensor_combined", slice(0, 3)),
-        "acceleration": ("sensor_combined", slice(3, 6)),
-    }  # fmt: skip
-    for channel, (name, column) in places.items():
-        assert (channel in log.channels) == (name in topics)
-        if name in topics:
-            stamps, table = topics[name]
-            np.testing.assert_allclose(log[channel].time, stamps * 1e-6, rtol=1e-14)
-            np.testing.assert_array_equal(log[channel].values, table[:, column].astype(float))

@@ -149,7 +149,7 @@ def test_qualisys_6d(tmp_path, seed, end, named, clocked):
 
 @SETTINGS
 @given(SEEDS, ENDS)
-def test_qualisys_3d_and_legacy_motive_hold_the_same_markers(tmp_path, seed, end):
+def test_qualisys_3d(tmp_path, seed, end):
     random = np.random.default_rng(seed)
     count, names = int(random.integers(2, 12)), ["a 1", "b"]
     points = random.uniform(-3, 3, (count, 2, 3))
@@ -157,19 +157,15 @@ def test_qualisys_3d_and_legacy_motive_hold_the_same_markers(tmp_path, seed, end
     hidden[0] = False
     lines = [f"NO_OF_FRAMES\t{count}", "NO_OF_MARKERS\t2", "FREQUENCY\t100", "DATA_INCLUDED\t3D"]
     lines += ["MARKER_NAMES\t" + "\t".join(names), "TRAJECTORY_TYPES\tMeasured\tMeasured"]
-    old = ["comment,x", "righthanded", "info,version,1.1"]
     for i in range(count):
         shown = [["", "", ""] if hidden[i, k] else [f"{1e3 * x:.9f}" for x in points[i, k]] for k in range(2)]
         lines.append("\t".join([*shown[0], *shown[1]]))
-        places = [",".join(f"{x:.12f}" for x in points[i, k]) for k in range(2)]
-        seen = [f"{places[k]},{k},{names[k]}" for k in range(2) if not hidden[i, k]]
-        old.append(",".join([f"frame,{i},{i / 100:.8f},0,{len(seen)}", *seen]))
-    for log in (load(write(tmp_path, lines, end)), load(write(tmp_path, old, end))):
-        for k, name in enumerate(names):
-            channel = log[f"{name}/position"]
-            np.testing.assert_allclose(channel.time, np.arange(count) / 100, atol=1e-12)
-            np.testing.assert_array_equal(channel.valid, ~hidden[:, k])
-            np.testing.assert_allclose(channel.values[~hidden[:, k]], points[~hidden[:, k], k], atol=1e-11)
+    log = load(write(tmp_path, lines, end))
+    for k, name in enumerate(names):
+        channel = log[f"{name}/position"]
+        np.testing.assert_allclose(channel.time, np.arange(count) / 100, atol=1e-12)
+        np.testing.assert_array_equal(channel.valid, ~hidden[:, k])
+        np.testing.assert_allclose(channel.values[~hidden[:, k]], points[~hidden[:, k], k], atol=1e-11)
 
 
 @SETTINGS

@@ -21,9 +21,8 @@ from sysid.loaders import load, table
 QUICK, MANY = 18, 300
 # Cases that once ended in a traceback, a crash, a hang, too much memory, or in no short sentence.
 FAILED = {
-    "c3d": (11,), "mat-plain": (2132, 2179, 2683, 3768), "mat-7.3": (1595, 1824), "motive-legacy": (82, 98),
+    "c3d": (11,), "mat-plain": (2132, 2179, 2683, 3768), "mat-7.3": (1595, 1824),
     "ros-mcap": (5,), "ros-sqlite": (0, 61), "sysid-hdf5": (1074,), "tdms": (12, 2032, 2222, 2508),
-    "ulog": (47,),
 }  # fmt: skip
 # Why nothing in the file could tell: by the family of formats, and what differs (`log_worker.difference`).
 _HEADER_SAYS = "the header, which the damage may have reached, says so"
@@ -37,16 +36,11 @@ SILENT = {
     "mat": dict.fromkeys(("values", "clock", "channels", "unit"), _NO_SUM),
     "tdms": dict.fromkeys(("values", "clock", "channels", "unit", "rows"), _NO_SUM),
     "c3d": dict.fromkeys(("values", "clock", "channels", "unit", "rows"), _NO_SUM),
-    "ulog": {
-        "channels": "a topic's name or a field's is another one", "clock": "a stamp is another one",
-        "rows": "a message is whole but of another topic, or the file ends behind a whole message",
-        "values": "the stamps are others, so that messages change places",
-    },
     "ros": dict.fromkeys(("channels", "rows", "values", "clock"), _NO_SUM),
 }  # fmt: skip
 FAMILY = {
     "load-cell-hdf5": "hdf5", "sysid-hdf5": "hdf5", "mat-7.3": "hdf5", "mat": "mat", "mat-plain": "mat",
-    "tdms": "tdms", "c3d": "c3d", "ulog": "ulog", "ros-bag": "ros", "ros-mcap": "ros", "ros-sqlite": "ros",
+    "tdms": "tdms", "c3d": "c3d", "ros-bag": "ros", "ros-mcap": "ros", "ros-sqlite": "ros",
 }  # fmt: skip
 
 

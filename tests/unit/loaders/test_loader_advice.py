@@ -146,10 +146,6 @@ def capture_logs(tmp_path, stated, number):
     yield from {"pose-table": pose, "motive-csv": motive, "vicon-csv": vicon}.items()
     if stated:
         return
-    legacy = (
-        "righthanded\ninfo,version,1.1",
-        [f"frame,{i},{t:.6f},1,1,{p},0,0,0,1,0,0,0,0" for i, (t, p) in enumerate(zip(FALL, at, strict=True))],
-    )
     ros = (
         "%time,field.header.seq,field.header.stamp,field.header.frame_id,"
         + ",".join(f"field.pose.position.{a}" for a in "xyz")
@@ -157,7 +153,7 @@ def capture_logs(tmp_path, stated, number):
         [f"{int(t * 1e9) + 10**18},{i},{int(t * 1e9) + 10**18},w,{p},0,0,0,1"
          for i, (t, p) in enumerate(zip(FALL, at, strict=True))],
     )  # fmt: skip
-    yield from {"motive-legacy": legacy, "ros-csv": ros}.items()
+    yield "ros-csv", ros
 
 
 @pytest.mark.parametrize("stated", ["", "m"])
@@ -184,16 +180,16 @@ def test_length_advice_of_every_capture_format_helps(tmp_path, write, stated):
         [body] = again.rigid_bodies
         assert again[f"{body}/position"].values[0, 2] == pytest.approx(0.5, abs=1e-9)
         walked.add(name)
-    assert len(walked) == (3 if stated else 5)
+    assert len(walked) == (3 if stated else 4)
 
 
 def test_length_advice_by_format():
-    for name in ("ros-bag", "ros-csv", "motive-legacy", "qualisys-tsv"):
+    for name in ("ros-bag", "ros-csv", "qualisys-tsv"):
         assert length_advice(log(name), "mm") == 'declare length_unit = "mm"'
         assert "length_unit" in FORMATS[name].options
     assert length_advice(log("c3d", {"length_unit": "m"}), "mm") == 'declare length_unit = "mm"'
     assert "states its length unit" in length_advice(log("c3d"), "mm")
-    assert "where the log was written" in length_advice(log("ulog"), "mm")
+    assert "where the log was written" in length_advice(log("tdms"), "mm")
     converted = log("ros-csv", notes=(note("converted", "converted from a.csv"),))
     assert length_advice(converted, "mm").startswith("convert the original log again")
 

@@ -102,12 +102,10 @@ def test_a_log_cut_at_the_end_of_a_row_is_told_by_its_header(write, tmp_path):
         "Length Units,Meters\n\n,Type,Marker,Marker,Marker\n,Name,a,a,a\n,ID,1,1,1\n"
         ",,Position,Position,Position\nFrame,Time (Seconds),X,Y,Z\n"
     )
-    legacy = "righthanded\ninfo,version,1.1\ninfo,framecount,60\n"
     for head, row, word in [
         (lvm, "\t{i}\n", "Samples"),
         (qualisys, "{i}\t2\t3\n", "NO_OF_FRAMES"),
         (motive, "{i},{t},1,2,3\n", "Total Exported Frames"),
-        (legacy, "frame,{i},{t},0,1,1,2,3,1,a\n", "framecount"),
     ]:
         rows = [row.format(i=i, t=f"{i * 0.01:.6f}") for i in range(60)]
         assert "the log was cut" not in notes(load(write(head + "".join(rows))))
@@ -124,14 +122,6 @@ def test_a_c3d_cut_between_frames(tmp_path):
     log = load(path)
     assert len(log["a/position"].values) == 42
     assert "the header's number of frames is 50 but 42 rows are there: the log was cut" in notes(log)
-
-
-def test_lines_that_are_no_frames_are_named(write):
-    rows = [f"frame,{i},{i * 0.01:.6f},0,1,1,2,3,1,a\n" for i in range(30)]
-    rows[12] = rows[12].replace("frame", "fr4me")
-    log = load(write("righthanded\ninfo,version,1.1\n" + "".join(rows)))
-    assert "lines that begin with no known word, left out: 1 (first: line 15)" in notes(log)
-    assert len(log["a/position"].values) == 29
 
 
 TABLE = "Time (s){0}Speed (rad/s){0}Fz (N)\n" + "".join(f"{i}.5{{0}}{i}.25{{0}}7.125\n" for i in range(12))

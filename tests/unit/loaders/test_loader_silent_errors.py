@@ -11,7 +11,7 @@ import pytest
 from scipy.io import savemat
 from typer.testing import CliRunner
 
-from fakes.log_files import LBF_IN, c3d, hdf5, notes, refuses, row_lines, tdms, ulog
+from fakes.log_files import LBF_IN, c3d, hdf5, notes, refuses, row_lines, tdms
 from sysid.cli import app
 from sysid.errors import LogError, UnitError
 from sysid.loaders import load
@@ -82,86 +82,6 @@ def test_a_whole_wf_increment_is_a_clock_and_a_temperature_is_none(tmp_path):
     log = load(tdms(tmp_path / "b.tdms", [force, warm]))
     np.testing.assert_allclose(log["thrust"].time, 1e-2 * np.arange(COUNT), atol=1e-12)
     np.testing.assert_array_equal(log["T_deg"].values, 20 + RAMP)
-
-
-BATTERY = "float voltage_v;float current_a;"
-
-
-def test_what_px4_marks_as_unknown_is_missing(tmp_path):
-    stamps = [10**6 + 10**4 * i for i in range(50)]
-    battery = [struct.pack("<Qff", t, 16.0 if i > 9 else 0.0, 3.0 if i > 4 else -1.0)
-               for i, t in enumerate(stamps)]  # fmt: skip
-    place = [struct.pack("<Qfff??", t, i, 2, -3, i > 19, i > 29) for i, t in enumerate(stamps)]
-    fields = "float x;float y;float z;bool xy_valid;bool z_valid;"
-    topics = ("battery_status", BATTERY, battery, 1), ("vehicle_local_position", fields, place)
-    log = load(ulog(tmp_path / "a.ulg", *topics))
-    assert np.isnan(log["current"].values).sum() == 5
-    assert np.isnan(log["voltage"].values).sum() == 10
-    assert np.isnan(log["local_position"].values).sum(axis=0).tolist() == [20, 20, 30]
-    np.testing.assert_array_equal(log["local_position"].values[30:, 0], np.arange(30, 50))
-    for words in ("current_a is -1, which PX4 writes for unknown, in 5", "not valid by xy_valid, in 20",
-                  "battery_status is of instance 1"):  # fmt: skip
-        assert words in notes(log)
-
-
-def test_a_px4_channel_without_any_known_value_is_named(tmp_path):
-    rows = [struct.pack("<Qff", 10**6 + 10**4 * i, 16.0, -1.0) for i in range(9)]
-    log = load(ulog(tmp_path / "a.ulg", ("battery_status", BATTERY, rows)))
-    assert list(log.channels) == ["voltage"]
-    assert "current_a is -1, which PX4 writes for unknown, in 9 messages" in notes(log)
-    assert "current was left out: no message has a value that PX4 marks as known" in notes(log)
-    rows = [struct.pack("<Qff", 10**6 + 10**4 * i, 0.0, -1.0) for i in range(9)]
-    path = ulog(tmp_path / "b.ulg", ("battery_status", BATTERY, rows))
-    refuses(path, r"nothing is left to read: .*current was left out")
-
-
-def test_px4_velocities_count_only_where_their_own_flags_are_set(tmp_path):
-    fields = ("float x;float y;float z;float vx;float vy;float vz;"
-              "bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid;")  # fmt: skip
-    rows = [struct.pack("<Q6f4?", 10**6 + 10**4 * i, 1, 2, 3, 4, 5, 6, True, i > 1, i > 3, i > 6)
-            for i in range(50)]  # fmt: skip
-    log = load(ulog(tmp_path / "a.ulg", ("vehicle_local_position", fields, rows)))
-    assert np.isnan(log["local_position"].values).sum(axis=0).tolist() == [0, 0, 2]
-    assert np.isnan(log["local_velocity"].values).sum(axis=0).tolist() == [4, 4, 7]
-    np.testing.assert_array_equal(log["local_velocity"].values[7:], np.tile([4.0, 5.0, 6.0], (43, 1)))
-    for words in ("vy is not valid by v_xy_valid, in 4", "vz is not valid by v_z_valid, in 7"):
-        assert words in notes(log)
-
-
-# The numbers of the frames as PX4 declares them: POSE_FRAME_ of 1.14, LOCAL_FRAME_ before.
-@pytest.mark.parametrize(("field", "frames", "words"), [
-    ("pose_frame", (2, 2), "pose_frame of vehicle is FRD, not NED"),
-    ("pose_frame", (0, 0), "is unknown, not NED"),
-    ("pose_frame", (1, 1), ""),
-    ("local_frame", (0, 0), ""),
-    ("local_frame", (1, 1), "local_frame of vehicle is FRD, not NED"),
-    ("local_frame", (3, 3), "local_frame of vehicle is FRD of the body, not NED: its axes are not known"),
-    ("pose_frame", (1, 2), "vehicle was left out: its pose_frame changes between NED and FRD"),
-])  # fmt: skip
-def test_the_frame_of_px4_odometry_is_said(tmp_path, field, frames, words):
-    fields = f"float[3] position;float[4] q;uint8_t {field};uint8_t[3] _padding0;"
-    rows = [struct.pack("<Q3f4fB", 10**6 + 10**4 * i, i, 2, -3, 1, 0, 0, 0, frames[i % 2]) for i in range(9)]
-    battery = [struct.pack("<Qff", 10**6 + 10**4 * i, 16.0, 1.0) for i in range(9)]
-    odometry = "vehicle_odometry", fields, rows
-    log = load(ulog(tmp_path / "a.ulg", odometry, ("battery_status", BATTERY, battery)))
-    item = frames[0] == frames[1]
-    assert ("vehicle/position" in log.channels) == item
-    assert words in notes(log)
-    assert bool(words) == (field in notes(log))
-    # North, east, down is claimed of no other frame.
-    assert ("axes: north, east, down" in notes(log)) == (not words)
-    assert "body front, right, down" in notes(log)
-    if not item:
-        refuses(ulog(tmp_path / "b.ulg", odometry), "nothing is left to read: vehicle was left out")
-
-
-def test_px4_axes_are_claimed_of_the_channels_that_have_them(tmp_path):
-    fields = "float[3] position;float[4] q;uint8_t pose_frame;uint8_t[3] _padding0;"
-    rows = [struct.pack("<Q3f4fB", 10**6 + 10**4 * i, i, 2, -3, 1, 0, 0, 0, 2) for i in range(9)]
-    place = [struct.pack("<Q3f", 10**6 + 10**4 * i, i, 2, -3) for i in range(9)]
-    local = "vehicle_local_position", "float x;float y;float z;", place
-    log = load(ulog(tmp_path / "a.ulg", ("vehicle_odometry", fields, rows), local))
-    assert "axes of local_position: north, east, down; body front" in notes(log)
 
 
 def tracker(rows):
