@@ -15,30 +15,9 @@ import numpy as np
 from sysid.journal import Finding, note
 from sysid.recording import Channel, FloatArray, Recording
 
-# A value is taken between two samples no further apart than this [s], or than three median steps of a slow
-# sensor: a rotor's speed changes little in either.
+# Largest gap between two samples that a value is taken from [s], and in median steps of a slow sensor: a
+# rotor's speed changes little in either.
 _LONGEST, _STEPS = 0.05, 3.0
-
-
-def _between(channel: Channel, time: FloatArray) -> FloatArray:
-    """Return a channel at other times: NaN outside its samples and in its holes."""
-    seen, values = channel.time[channel.valid], channel.values[channel.valid]
-    if seen.size < 2:
-        return np.full(time.size, np.nan)
-    longest = max(_LONGEST, _STEPS * float(np.median(np.diff(seen))))
-    right = np.clip(np.searchsorted(seen, time), 1, seen.size - 1)
-    known = (time >= seen[0]) & (time <= seen[-1]) & (seen[right] - seen[right - 1] <= longest)
-    return np.where(known, np.interp(time, seen, values), np.nan)
-
-
-def _held(channel: Channel, time: FloatArray) -> FloatArray:
-    """Return a command at other times: the last one given; NaN before the first and after the last row."""
-    seen, values = channel.time[channel.valid], channel.values[channel.valid]
-    if not seen.size:
-        return np.full(time.size, np.nan)
-    last = np.clip(np.searchsorted(seen, time, side="right") - 1, 0, seen.size - 1)
-    step = float(np.median(np.diff(seen))) if seen.size > 1 else 0.0
-    return np.where((time >= seen[0]) & (time <= seen[-1] + step), values[last], np.nan)
 
 
 def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence[str]) -> Recording:
@@ -60,18 +39,27 @@ def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence
         channel = channels[name]
         if there:
             moved[name] = channel.values
-        elif name == "command":
-            moved[name] = _held(channel, clock)
-        else:
-            moved[name] = _between(channel, clock)
-            steps = np.diff(channel.time[channel.valid])
-            middle = f", {1e3 * float(np.median(steps)):.3g} ms apart (median)" if steps.size else ""
-            sentence = f"{name}: {channel.valid.sum()} samples{middle}, taken linear between them"
+            continue
+        seen, values = channel.time[channel.valid], channel.values[channel.valid]
+        step = float(np.median(np.diff(seen))) if seen.size > 1 else 0.0
+        moved[name] = np.full(clock.size, np.nan)
+        if name == "command" and seen.size:
+            # The last one given; none before the first and after the last row.
+            last = np.clip(np.searchsorted(seen, clock, side="right") - 1, 0, seen.size - 1)
+            moved[name] = np.where((clock >= seen[0]) & (clock <= seen[-1] + step), values[last], np.nan)
+        elif name != "command":
+            if seen.size > 1:
+                right = np.clip(np.searchsorted(seen, clock), 1, seen.size - 1)
+                close = seen[right] - seen[right - 1] <= max(_LONGEST, _STEPS * step)
+                known = (clock >= seen[0]) & (clock <= seen[-1]) & close
+                moved[name] = np.where(known, np.interp(clock, seen, values), np.nan)
+            middle = f", {1e3 * step:.3g} ms apart (median)" if seen.size > 1 else ""
+            sentence = f"{name}: {seen.size} samples{middle}, taken linear between them"
             notes.append(note("interpolated", sentence))
     rows = slice(0, clock.size)
     if not on_clock.get("command", True) and np.isfinite(moved["command"]).any():
-        known = np.flatnonzero(np.isfinite(moved["command"]))
-        rows = slice(int(known[0]), int(known[-1]) + 1)
+        commanded = np.flatnonzero(np.isfinite(moved["command"]))
+        rows = slice(int(commanded[0]), int(commanded[-1]) + 1)
         left_out = clock.size - (rows.stop - rows.start)
         if left_out:
             sentence = f"rows at which the other log gives no command, left out: {left_out}"

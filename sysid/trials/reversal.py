@@ -41,30 +41,21 @@ _PASSING = 0.05
 
 @dataclass(frozen=True)
 class Reversal:
-    """One reversal; times are counted from its command [s], NaN where the log does not show it.
+    """One reversal; times are counted from its command [s], NaN where the log does not show it."""
 
-    Parameters
-    ----------
-    time, hold : float
-        The command on the clock of the log, and how long it was held [s].
-    before, after : float
-        Commands u [1].
-    zero_crossing, dead_band : float
-        Until the rotor stood still (or the thrust was zero), and time spent inside the dead band.
-    to_level : float
-        Until the thrust was 90 % of its final value; NaN: never before the next command.
-    final_thrust : float
-        What `to_level` refers to: of the repetition itself where it settled [N], with the sign of `after`;
-        NaN where no repetition did.
-    """
-
+    # The command on the clock of the log [s].
     time: float
+    # Commands u [1].
     before: float
     after: float
+    # How long the command was held [s].
     hold: float
+    # Until the rotor stood still (or the thrust was zero), and time inside the dead band [s].
     zero_crossing: float
     dead_band: float
+    # Until the thrust was 90 % of its final value [s]; NaN: never before the next command.
     to_level: float
+    # Final thrust of the repetition itself where it settled [N], signed as `after`; NaN where none did.
     final_thrust: float
 
 

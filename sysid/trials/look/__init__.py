@@ -11,55 +11,113 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import TypeAdapter
 
+from sysid.filters import runs
 from sysid.journal import Finding
-from sysid.recording import Recording
+from sysid.loaders.registry import formats
+from sysid.recording import Channel, FloatArray, Recording
 from sysid.shown import Shown
+from sysid.trials.bench_log import Stall, command_steps, find_stalls
 from sysid.trials.capture import signed_axis
-from sysid.trials.look.advice import length_advice
-from sysid.trials.look.bench import BenchReport, inspect_bench
-from sysid.trials.look.channels import ChannelReport, inspect_channel
 from sysid.trials.look.drop import STANDARD_GRAVITY, DropReport, hanging_turn, inspect_drop
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# A capture volume is no larger [m].
+# Largest distance from the origin of a capture volume [m].
 _FARTHEST = 100.0
-_WRONG_GRAVITY = 0.03
-_CROOKED = np.radians(5.0)
-# A body is hung level by eye, and its axes are defined on a table.
+# Largest error of the measured g that is no suspicion [1], and of the direction of the fall [rad].
+_WRONG_GRAVITY, _CROOKED = 0.03, np.radians(5.0)
+# Largest tilt of a body that hangs level by eye, with axes defined on a table [rad].
 _TILTED = np.radians(10.0)
 # Units of length in a sentence, where it says them otherwise than an option.
 _IN_WORDS = {"inch": "inches", "foot": "feet", "m": "metres, read as mm"}
+# Highest speed of a drone's propeller motor [rad/s] (95 000 rpm); a number beyond was meant in rpm.
+_FASTEST = 10_000.0
+# Largest thrust [N] and torque [N·m] of what is put on such stands; beyond, the unit is grams or mN·m.
+_STRONGEST, _LARGEST_TORQUE = 2_000.0, 100.0
+# Largest reading at rest, as a share of the range, that is no missing tare.
+_TARE = 0.02
+# Number of median steps that make a step a hole in the clock.
+_HOLE = 2.5
+# Fewest equal samples in a row, and their least share of all, that show a sensor at its limit.
+_FLAT_RUN, _FLAT_SHARE = 5, 0.005
+# Formats whose files state a length unit, which a declared one must not contradict.
+_STATES_LENGTHS = frozenset({"motive-csv", "pose-table", "vicon-csv", "c3d"})
+
+
+@dataclass(frozen=True)
+class ChannelReport:
+    """Numbers of one channel; of all its components together."""
+
+    name: str
+    unit: str
+    # Rows on its clock, and the share of them without a value [1].
+    samples: int
+    blank: float
+    # Range [unit]; NaN without a value.
+    lowest: float
+    highest: float
+    # Median sample rate [Hz]; NaN below two samples and where rows have no time.
+    rate: float
+    # 90th percentile of the deviation of a step from the median one, as a share of it [1]; NaN as the rate.
+    jitter: float
+    # Steps longer than 2.5 times the median.
+    holes: int
+    # Longest step of the clock, and longest time without a value, at either end too [s]; NaN without times.
+    longest_hole: float
+    longest_blank: float
+    # Share of values equal to the one before [1].
+    repeated: float
+    # Share of values in runs of five or more at either extreme [1].
+    saturated: float
+
+
+@dataclass(frozen=True)
+class BenchReport:
+    """What happens in a log of one motor; NaN where unknown."""
+
+    # Levels commanded one after the other, the lowest and the highest [unit of the protocol].
+    commands: int
+    lowest_command: float
+    highest_command: float
+    # Pauses of the logger, and those that hide when a command was given.
+    stalls: int
+    stalls_at_commands: int
+    # Readings before anything turns [N], [N·m].
+    rest_thrust: float
+    rest_torque: float
+    # Top speed [rad/s].
+    top_speed: float
 
 
 @dataclass(frozen=True, repr=False)
 class LogReport(Shown):
-    """What is known about one log.
-
-    Its duration is the time from the first to the last sample of any channel [s], NaN for a static map; its
-    channels are in file order. A drop is there where a body falls, a bench for a running log of a thrust
-    stand or load cell. Suspicions say what looks like a mistake, notes what the loader noticed and did.
-    """
+    """What is known about one log."""
 
     path: str
     sha256: str
     format: str
     device: str
     kind: str
+    # From the first to the last sample of any channel [s]; NaN for a static map.
     duration: float
+    # In file order.
     channels: tuple[ChannelReport, ...]
+    # Where a body falls.
     drop: DropReport | None
+    # Of a running log of a thrust stand or load cell.
     bench: BenchReport | None
+    # What looks like a mistake.
     suspicions: tuple[Finding, ...]
+    # What the loader noticed and did.
     notes: tuple[Finding, ...]
 
     def __repr__(self) -> str:
@@ -184,3 +242,176 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
     elif drop.up[1] == "x":
         sentence = f'{drop.body} falls along x: axes may be swapped; set up = "{drop.up}"'
         yield Finding("axes-swapped", sentence)
+
+
+def _saturated(values: FloatArray) -> float:
+    """Return the share of samples that are stuck at a limit other than zero."""
+    low, high = float(values.min()), float(values.max())
+    if values.size < 10 * _FLAT_RUN or low == high:
+        return 0.0
+    lengths = [stop - start for limit in (low, high) if limit != 0.0 for start, stop in runs(values == limit)]
+    stuck = sum(length for length in lengths if length >= _FLAT_RUN)
+    # Half of the samples at one value is a plateau or a probe that is off, not a sensor at its limit.
+    share = stuck / values.size
+    return share if _FLAT_SHARE <= share <= 0.5 else 0.0
+
+
+def inspect_channel(channel: Channel, clock: bool = True) -> ChannelReport:
+    """Return the numbers of a channel; without a clock all is NaN that a clock would tell."""
+    time, valid = channel.time, channel.valid
+    steps = np.diff(time)
+    median = float(np.median(steps)) if steps.size else float("nan")
+    # Zero where steps are equal as far as times of this size can show.
+    rounding = 4.0 * float(np.spacing(np.abs(time).max(initial=1.0)))
+    deviation = float(np.percentile(np.abs(steps - median), 90)) if steps.size else float("nan")
+    known = channel.values[valid]
+    repeats = np.diff(known, axis=0) == 0
+    equal = repeats if repeats.ndim == 1 else repeats.all(axis=1)
+    seen = np.flatnonzero(valid)
+    longest_blank = 0.0  # between two values, or from one to an end of the log
+    if seen.size:
+        between = np.diff(time[seen])[np.diff(seen) > 1].max(initial=0.0)
+        longest_blank = float(max(between, time[seen[0]] - time[0], time[-1] - time[seen[-1]]))
+    elif time.size:
+        longest_blank = float(time[-1] - time[0])
+    discrete = channel.unit in ("us", "dshot", "rad/s") or channel.name in ("command", "log_time")
+    report = ChannelReport(
+        channel.name,
+        channel.unit,
+        int(time.size),
+        float(1.0 - valid.mean()) if time.size else 0.0,
+        float(known.min()) if known.size else float("nan"),
+        float(known.max()) if known.size else float("nan"),
+        channel.rate,
+        0.0 if deviation <= rounding else deviation / median,
+        int(np.count_nonzero(steps > _HOLE * median)) if steps.size else 0,
+        float(steps.max()) if steps.size else 0.0,
+        longest_blank,
+        float(equal.mean()) if equal.size else 0.0,
+        0.0 if discrete or known.ndim > 1 or not known.size else _saturated(known),
+    )
+    if clock:
+        return report
+    unknown = float("nan")
+    return replace(report, rate=unknown, jitter=unknown, holes=0, longest_hole=unknown, longest_blank=unknown)
+
+
+def _largest(known: Mapping[str, Channel], name: str) -> float:
+    return float(np.nanmax(np.abs(known[name].values))) if name in known else float("nan")
+
+
+def _at_rest(known: Mapping[str, Channel], name: str) -> float:
+    """Return the mean reading of a sensor before the first command or turn; NaN where nothing rests."""
+    if name not in known:
+        return float("nan")
+    channel = known[name]
+    begin = end = float(channel.time[-1])
+    for cause in ("command", "speed"):
+        if cause in known:
+            valid = known[cause].valid
+            values, time = known[cause].values[valid], known[cause].time[valid]
+            moved = values != values[0] if cause == "command" else np.abs(values) > 1.0
+            begin = min(begin, float(time[np.argmax(moved)]) if moved.any() else end)
+    still = channel.valid & (channel.time < begin)
+    return float(channel.values[still].mean()) if still.sum() >= 3 and begin < end else float("nan")
+
+
+def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
+    """Return the report of a running log of a thrust stand or load cell, and its suspicions."""
+    known = {name: channel for name, channel in recording.channels.items() if channel.valid.any()}
+    levels, low, high = 0, float("nan"), float("nan")
+    stalls: tuple[Stall, ...] = ()
+    if "command" in known:
+        steps = command_steps(known["command"].time, known["command"].values)
+        stalls = find_stalls(next(iter(recording.channels.values())).time, steps)
+        levels, low, high = len(steps.time), float(steps.level.min()), float(steps.level.max())
+    hidden = sum(stall.doubtful is not None for stall in stalls)
+    rests = _at_rest(known, "thrust"), _at_rest(known, "torque")
+    report = BenchReport(levels, low, high, len(stalls), hidden, *rests, _largest(known, "speed"))
+    return report, list(_bench_suspicions(recording, known, report))
+
+
+def _bench_suspicions(
+    recording: Recording, known: Mapping[str, Channel], report: BenchReport
+) -> Iterator[Finding]:
+    if report.top_speed > _FASTEST:
+        advice = unit_advice(recording, "speed", "rpm")
+        yield Finding(
+            "speed-unit",
+            f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; {advice}",
+        )
+    elif report.top_speed == 0.0:
+        yield Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark")
+    largest = _largest(known, "thrust")
+    if largest > _STRONGEST:
+        advice = unit_advice(recording, "thrust", "gf")
+        yield Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}")
+    if _largest(known, "torque") > _LARGEST_TORQUE:
+        advice = unit_advice(recording, "torque", "mN*m")
+        yield Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}")
+    for name, rest, unit in (("thrust", report.rest_thrust, "N"), ("torque", report.rest_torque, "N·m")):
+        if np.isfinite(rest) and abs(rest) > _TARE * np.ptp(known[name].values[known[name].valid]) > 0:
+            sentence = f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it"
+            yield Finding("no-tare", sentence)
+    if "speed" in known and "thrust" in known:
+        speed, thrust = known["speed"], known["thrust"]
+        turning: FloatArray = np.interp(
+            thrust.time, speed.time[speed.valid], np.abs(speed.values[speed.valid])
+        )
+        fast = thrust.values[thrust.valid & (turning > 0.7 * turning.max())]
+        slow = thrust.values[thrust.valid & (turning < 0.2 * turning.max())]
+        enough = fast.size >= 5 and slow.size >= 5
+        if enough and np.median(fast) - np.median(slow) < -3.0 * np.std(slow):
+            yield Finding(
+                "thrust-falls",
+                "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller turns "
+                "in reverse",
+            )
+    sides = ("force_x", "force_y")
+    spread = {name: float(np.nanstd(known[name].values)) for name in ("thrust", *sides) if name in known}
+    for name in sides:
+        if spread.get(name, 0.0) > 2.0 * spread.get("thrust", np.inf) > 0.0:
+            sentence = f"{name} changes more than thrust (Fz): the cell's axes may be swapped"
+            yield Finding("cell-axes-swapped", sentence)
+
+
+def _mend(recording: Recording, option: str) -> str:
+    """Return where to correct the unit if the file's format has no `option`; empty if it has."""
+    provenance = recording.provenance
+    if any(finding.code == "converted" for finding in provenance.notes[-1:]):
+        return "convert the original log again with its true unit"
+    known = formats().get(provenance.format)
+    if known is None or option not in known.options:
+        return "correct it where the log was written, or in its header"
+    return ""
+
+
+def unit_advice(recording: Recording, channel: str, unit: str) -> str:
+    """Return how to say the unit that the speed, thrust or torque of a bench log is probably in.
+
+    The recording's format and options decide.
+    """
+    mend = _mend(recording, "units")
+    if mend:
+        return mend
+    provenance = recording.provenance
+    if channel == "speed" and "pulses_per_revolution" in provenance.options:
+        return "check pulses_per_revolution"
+    if provenance.format == "ati-text":  # six channels by place share two units
+        if "calibration" in provenance.options:
+            return "check that the calibration belongs to this transducer"
+        return f'correct {"torque" if channel == "torque" else "force"} = "{unit}" in units'
+    return f'declare units = {{{channel} = "{unit}"}}'
+
+
+def length_advice(recording: Recording, unit: str) -> str:
+    """Return how to say the length unit of a capture, as `unit_advice`."""
+    mend = _mend(recording, "length_unit")
+    if mend:
+        return mend
+    provenance = recording.provenance
+    if provenance.format in _STATES_LENGTHS and "length_unit" not in provenance.options:
+        if provenance.format == "pose-table":
+            return f'declare units = {{x = "{unit}", y = "{unit}", z = "{unit}"}}'
+        return "the file states its length unit, so correct it there or export again"
+    return f'declare length_unit = "{unit}"'

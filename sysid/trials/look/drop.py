@@ -26,84 +26,60 @@ from sysid.trials.flight import (
 from sysid.types import BoolArray, FloatArray
 
 STANDARD_GRAVITY = 9.80665
-# Factor on g of lengths that were read in another unit than theirs, and theirs; the last was read as mm.
+# Factor on g of lengths read in a wrong unit, and the true unit; the last was read as mm.
 _SCALES = {1.0: "", 1e3: "mm", 1e2: "cm", 1 / 0.0254: "inch", 1 / 0.3048: "foot", 1e-3: "m"}
-# Only g distinguishes a wrong unit from a wrong rate; two readings of one long fall differ by less than this.
+# Largest relative error of g that a wrong unit explains: only g tells it from a wrong rate.
 _NEAR_UNIT = 0.1
 # Factors on g that a wrong rate or scale may cause, the nearest first; one step moves the end of a fall of
 # 60 ms by less than the half millimetre that shows it. Such a fall must be this long [s].
 _ODD_GRAVITIES = tuple(1.06 ** (sign * power) for power in range(2, 26) for sign in (1, -1))
 _LONG_ODD_FALL = 0.1
-# Legs yield softly: this long after the feet touch the body visibly leaves its flight [s].
+# Time from the touch of the feet until a body on soft legs visibly leaves its flight [s].
 _YIELDING = 0.010
-# A shallower board has no direction that its markers could show; a way further off an axis lies between two.
+# Least slope of a board whose markers show a direction; largest angle of a way off an axis [rad].
 _SHALLOW, _OFF_AXIS = np.radians(2.0), np.radians(30.0)
 
 
 @dataclass(frozen=True)
 class DropReport:
-    """A drop, on the recording's clock and axes.
+    """A drop, on the recording's clock and axes."""
 
-    Parameters
-    ----------
-    body
-        Rigid body or marker that falls.
-    up, up_error
-        Capture axis nearest to up, such as ``"+z"``, and the angle between it and the fall [rad].
-    gravity
-        What the fall itself says [m/s²].
-    length_unit
-        Empty; else the unit that the lengths seem to have, as options name it, but were not read in.
-    release, touchdown
-        [s]; no release where the body was thrown or carried into the flight.
-    impact_speed, fall_height
-        Downward speed at touchdown [m/s]; from release (or the top of the flight) to touchdown [m].
-    slide
-        Horizontal way (3,) from touchdown to the end of the log, capture axes [m].
-    down_slope, down_slope_doubt
-        Capture axis nearest to where the board's markers fall, else to that way, where it is over 20 mm long;
-        why that axis may be wrong, empty where nothing speaks against it.
-    slope, slope_source, slope_by_markers
-        Suggested slope [rad], from board markers or from the tilt between hold and rest, and what to check.
-    release_error, touchdown_error, impact_speed_error
-        How far off the two times may be [s]: a sample period; one and a half, and the 10 ms in which legs
-        give way before the body shows it. NaN without a release. What that makes of the speed [m/s].
-    """
-
+    # Rigid body or marker that falls.
     body: str
+    # Capture axis nearest to up, such as ``"+z"``, and the angle between it and the fall [rad].
     up: str
     up_error: float
+    # Acceleration of the fall itself [m/s²].
     gravity: float
+    # Unit that the lengths seem to have, as options name it, but were not read in; else empty.
     length_unit: str
+    # Release [s], None where the body was thrown or carried into the flight; touchdown [s].
     release: float | None
     touchdown: float
+    # Downward speed at touchdown [m/s].
     impact_speed: float
+    # From release (or the top of the flight) to touchdown [m].
     fall_height: float
+    # Horizontal way from touchdown to the end of the log, capture axes [m].
     slide: tuple[float, float, float]
+    # Capture axis nearest to the fall of the board's markers, else to a slide of over 20 mm; doubts of it.
     down_slope: str | None
     down_slope_doubt: str
+    # Suggested slope [rad], from board markers or from the tilt between hold and rest, and what to check.
     slope: float | None
     slope_source: str
     slope_by_markers: bool
+    # Largest error of the release [s], a sample period; NaN without one.
     release_error: float
+    # Largest error of the touchdown [s]: 1.5 periods, and the 10 ms in which legs give way unseen.
     touchdown_error: float
+    # Largest error of the impact speed [m/s], by that of the touchdown.
     impact_speed_error: float
 
 
 def _axis_name(vector: FloatArray) -> str:
     axis = int(np.argmax(np.abs(vector)))
     return ("+" if vector[axis] > 0 else "-") + "xyz"[axis]
-
-
-def _uniform(channel: Channel) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return a uniform clock, positions bridged over gaps, and which samples lie between seen neighbours."""
-    valid = channel.valid
-    seen, positions = channel.time[valid], channel.values[valid]
-    step = float(np.median(np.diff(seen)))
-    time = seen[0] + step * np.arange(int(np.floor((seen[-1] - seen[0]) / step + 1e-6)) + 1)
-    bridged = np.column_stack([np.interp(time, seen, positions[:, i]) for i in range(3)])
-    after = np.clip(np.searchsorted(seen, time), 1, seen.size - 1)
-    return time, bridged, np.asarray(seen[after] - seen[after - 1] < 4.0 * step)
 
 
 def inspect_drop(recording: Recording, gravity: float = STANDARD_GRAVITY) -> DropReport | None:
@@ -113,19 +89,25 @@ def inspect_drop(recording: Recording, gravity: float = STANDARD_GRAVITY) -> Dro
         if channel is None or channel.valid.sum() < 20 or channel.values.ndim != 2:
             continue
         report = _inspect_body(recording, body, channel, gravity)
-        if report is not None and (body in recording.rigid_bodies or _falls_freely(report, gravity)):
+        if report is None:
+            continue
+        # A marker on a limb accelerates as much as a lone one that falls, but not as evenly.
+        even = (
+            abs(report.gravity / gravity - 1.0) < 0.05 and report.up_error < 0.05 and not report.length_unit
+        )
+        falls = even and (report.release is not None or report.fall_height > 0.1)
+        if falls or body in recording.rigid_bodies:
             return report
     return None
 
 
-def _falls_freely(report: DropReport, gravity: float) -> bool:
-    """Return whether a lone marker falls: a marker on a limb accelerates as much, but not as evenly."""
-    even = abs(report.gravity / gravity - 1.0) < 0.05 and report.up_error < 0.05 and not report.length_unit
-    return even and (report.release is not None or report.fall_height > 0.1)
-
-
 def _inspect_body(recording: Recording, body: str, channel: Channel, gravity: float) -> DropReport | None:
-    time, position, sure = _uniform(channel)
+    seen, positions = channel.time[channel.valid], channel.values[channel.valid]
+    step = float(np.median(np.diff(seen)))
+    time = seen[0] + step * np.arange(int(np.floor((seen[-1] - seen[0]) / step + 1e-6)) + 1)
+    position = np.column_stack([np.interp(time, seen, positions[:, i]) for i in range(3)])
+    after = np.clip(np.searchsorted(seen, time), 1, seen.size - 1)
+    sure = np.asarray(seen[after] - seen[after - 1] < 4.0 * step)  # between neighbours, not across a gap
     step = float(time[1] - time[0])
     half = half_window(HALF_WINDOW / step)
     if step > 0.02 or time.size < 4 * half + 4:
@@ -176,28 +158,22 @@ def _report(
     way = way - axis * (way @ axis)
     release = flight.start if flight.held else None
     slope, source, marked, downhill = _slope(recording, body, channel, axis, release, touchdown)
-    down_slope, doubt = _down_slope(way, downhill, flight.held)
+    down_slope, doubts = None, []
+    if downhill is not None or np.linalg.norm(way) > 0.02:
+        direction = way if downhill is None else downhill
+        down_slope = _axis_name(direction)
+        off = float(np.arccos(np.clip(np.max(np.abs(direction)) / np.linalg.norm(direction), 0.0, 1.0)))
+        if downhill is None and not flight.held:
+            doubts.append("the body was thrown and moves on as it was thrown, downhill or not")
+        if off > _OFF_AXIS:
+            doubts.append(f"the way lies {np.degrees(off):.0f} deg off that axis")
     sample = float(time[1] - time[0])
     late = 1.5 * sample + _YIELDING  # the largest error of 16 known drops at 200 Hz was 15.5 ms of these 17.5
     return DropReport(
         body, up, float(np.arccos(np.clip(up_vector @ axis, -1.0, 1.0))), measured, unit, release, touchdown,
-        speed, fall, (float(way[0]), float(way[1]), float(way[2])), down_slope, doubt, slope, source, marked,
-        sample if flight.held else float("nan"), late, measured * late,
+        speed, fall, (float(way[0]), float(way[1]), float(way[2])), down_slope, "; ".join(doubts),
+        slope, source, marked, sample if flight.held else float("nan"), late, measured * late,
     )  # fmt: skip
-
-
-def _down_slope(way: FloatArray, downhill: FloatArray | None, held: bool) -> tuple[str | None, str]:
-    """Return the capture axis that points down the slope, and why it may not."""
-    if downhill is None and np.linalg.norm(way) <= 0.02:
-        return None, ""
-    direction = way if downhill is None else downhill
-    off = float(np.arccos(np.clip(np.max(np.abs(direction)) / np.linalg.norm(direction), 0.0, 1.0)))
-    doubts = []
-    if downhill is None and not held:
-        doubts.append("the body was thrown and moves on as it was thrown, downhill or not")
-    if off > _OFF_AXIS:
-        doubts.append(f"the way lies {np.degrees(off):.0f} deg off that axis")
-    return _axis_name(direction), "; ".join(doubts)
 
 
 def hanging_turn(orientation: Channel, release: float) -> Rotation | None:

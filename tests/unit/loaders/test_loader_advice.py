@@ -14,8 +14,7 @@ from sysid.journal import note
 from sysid.loaders import formats, load
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Channel, Provenance, Recording
-from sysid.trials.look import inspect_recording
-from sysid.trials.look.advice import length_advice, unit_advice
+from sysid.trials.look import inspect_recording, length_advice, unit_advice
 from sysid.workflows.inspect import parse_options
 
 FORMATS = formats()

@@ -19,8 +19,7 @@ from sysid.loaders import detect, load
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Channel, Provenance, Recording
 from sysid.report.inspect_figures import figure_logs
-from sysid.trials.look import inspect_recording
-from sysid.trials.look.channels import inspect_channel
+from sysid.trials.look import inspect_channel, inspect_recording
 from sysid.workflows.inspect import SecondFile, convert_file, parse_options
 
 
