@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -116,7 +116,7 @@ class Provenance:
         return [str(note) for note in self.notes]
 
     @property
-    def source(self) -> dict[str, Any]:
+    def source(self) -> dict[str, str]:
         """File, hash, format and device, as a result states them."""
         head = {"log": Path(self.path).name, "sha256": self.sha256}
         return head | {"format": self.format, "device": self.device}

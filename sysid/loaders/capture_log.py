@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
@@ -120,11 +120,14 @@ def continuous_quaternions(unit: FloatArray) -> tuple[FloatArray, int]:
 
 
 def rotation_quaternions(
-    kind: str, values: FloatArray, seen: BoolArray | None = None, *order: str, **how: Any
+    kind: Literal["rotvec", "matrix", "euler"],
+    values: FloatArray,
+    seen: BoolArray | None = None,
+    order: str = "",
 ) -> FloatArray:
     """Return quaternions (n, 4), w first, of `values` (n, k) or (n, 3, 3); NaN where not `seen` (finite).
 
-    `kind` is how scipy's ``Rotation.from_KIND`` takes the values, ``rotvec``, with the further arguments.
+    `kind` is how scipy's ``Rotation.from_KIND`` takes the values; Euler angles [deg] have an `order` of axes.
     """
     # Imported on first use: it takes longer than all else that the commands without logs need.
     from scipy.spatial.transform import Rotation
@@ -132,7 +135,12 @@ def rotation_quaternions(
     seen = np.asarray(np.isfinite(values).all(axis=1)) if seen is None else seen
     quaternions = np.full((len(values), 4), np.nan)
     if seen.any():
-        turns = getattr(Rotation, f"from_{kind}")(*order, values[seen], **how)
+        if kind == "euler":
+            turns = Rotation.from_euler(order, values[seen], degrees=True)
+        elif kind == "matrix":
+            turns = Rotation.from_matrix(values[seen])
+        else:
+            turns = Rotation.from_rotvec(values[seen])
         quaternions[seen] = np.roll(turns.as_quat(), 1, axis=1)
     return quaternions
 
@@ -148,7 +156,7 @@ def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
     `order` is for example ``"XYZ"``: about X, then the new Y, then the new Z. Rows with NaN give NaN.
     """
     # Upper-case letters are scipy's sign for intrinsic rotations.
-    return rotation_quaternions("euler", angles_deg, None, order, degrees=True)
+    return rotation_quaternions("euler", angles_deg, order=order)
 
 
 def body_channels(

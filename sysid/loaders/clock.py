@@ -13,12 +13,12 @@ from sysid.loaders.options import is_positive
 from sysid.loaders.table import Numbers
 from sysid.recording import BoolArray, FloatArray
 
-# A logger leaves at most this many samples of an earlier run at the start of a file.
+# Most samples of an earlier run that a logger leaves at the start of a file.
 _STALE_ROWS = 2
-# What to do about times that repeat: in general, and where the format takes a rate.
+# Advice about times that repeat: in general, and where the format takes a rate.
 EXPORT_FINER = "export the log again with finer times"
 DECLARE_RATE = "declare the sample rate with rate = ..."
-# Rows that a line through times and frame numbers needs, and the median delay that it may leave [s].
+# Fewest rows for a line through times and frame numbers, and largest median delay that it may leave [s].
 _FEWEST_FRAMES, _LONGEST_DELAY = 10, 0.1
 
 
@@ -37,14 +37,6 @@ def positive_rate(path: str, rate: object) -> float:
         raise LogError(
             f"{path}: rate = {rate!r} is no sample rate; expected samples per second, e.g. rate = 10000"
         ) from None
-
-
-def _stale_start(time: FloatArray) -> int:
-    """Return how many rows at the start are left over from an earlier run, after which the clock falls."""
-    for first in range(1, min(_STALE_ROWS, time.size - 1) + 1):
-        if time[first] < time[first - 1] and np.all(np.diff(time[first : first + 5]) >= 0):
-            return first
-    return 0
 
 
 def order_rows(
@@ -77,7 +69,10 @@ def order_rows(
         raise LogError(f"{path}: no row has a time; the log is empty")
     time = numbers.columns[time_column] * factor
 
-    stale = _stale_start(time) if stale_start else 0
+    # Rows of an earlier run, behind which the clock falls once and then rises.
+    most = min(_STALE_ROWS, time.size - 1) if stale_start else 0
+    falls = [k for k in range(1, most + 1) if time[k] < time[k - 1]]
+    stale = next((k for k in falls if np.all(np.diff(time[k : k + 5]) >= 0)), 0)
     if stale:
         notes.append(
             note("stale-rows", f"stale rows at the start, left out: {stale} (at {time[stale - 1]:.6g} s)")

@@ -6,7 +6,6 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import Finding, note
@@ -309,8 +308,19 @@ class NamedTable:
             "rename the column in the log, or name the format if this is another kind of log"
         )
 
-    def read(self, wanted: Iterable[Column], **how: Any) -> Numbers:
+    def read(
+        self,
+        wanted: Iterable[Column],
+        *,
+        least: int | None = None,
+        surplus: bool = False,
+        free_text: int | None = None,
+        again: bool = False,
+    ) -> Numbers:
         """Return the numbers of some columns, as `read_numbers` does; the file's bytes are released."""
         text = self.text
         del self.text
-        return read_numbers(text, self.head, [column.index for column in wanted], **how)
+        places = [column.index for column in wanted]
+        return read_numbers(
+            text, self.head, places, least=least, surplus=surplus, free_text=free_text, again=again
+        )

@@ -15,7 +15,7 @@ from sysid.errors import UnitError
 from sysid.units import factor_to_si, parse_quantity
 
 
-def quantity(value: Any, unit: str) -> float:
+def quantity(value: object, unit: str) -> float:
     """Return the SI value of a quantity of a campaign, such as ``"5 kHz"``; ValueError for anything else."""
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise ValueError(f"expected a quantity such as '1 {unit}'")
@@ -36,9 +36,9 @@ class Option:
     help: str
     unit: str = ""
     choices: tuple[str, ...] = ()
-    check: Callable[[Any], Any] | None = None
+    check: Callable[[object], object] | None = None
 
-    def stated(self, value: Any) -> Any:
+    def stated(self, value: object) -> object:
         """Return a value as a campaign states it, a quantity with its unit; ValueError says what is wrong."""
         if value is None:
             return None
@@ -57,7 +57,7 @@ class Option:
         return core_schema.no_info_before_validator_function(self.stated, handler(source))
 
 
-def known_unit(unit: Any) -> Any:
+def known_unit(unit: object) -> object:
     """Return a unit that sysid knows; the unit of a command belongs to its protocol."""
     if isinstance(unit, str) and unit not in ("us", "µs", "dshot", "DShot", "1"):
         try:
@@ -67,7 +67,7 @@ def known_unit(unit: Any) -> Any:
     return unit
 
 
-def _columns(value: Any) -> Any:
+def _columns(value: object) -> object:
     if isinstance(value, Mapping) and all(type(place) in (str, int) for place in value.values()):
         return value
     if isinstance(value, list | tuple) and all(isinstance(name, str) for name in value):
@@ -83,7 +83,7 @@ def is_positive(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
 
 
-def _positive(value: Any) -> Any:
+def _positive(value: object) -> object:
     if not is_positive(value):
         raise ValueError("expected a number greater than 0")
     return value
@@ -98,7 +98,7 @@ class LogOptions:
         Option("Units by channel or column, where the file states none or a wrong one."),
     ] = None
     columns: Annotated[
-        Sequence[str] | Mapping[str, Any] | None,
+        Sequence[str] | Mapping[str, str | int] | None,
         Option(
             "All names in order for a log without header, or new name -> name in the header.", check=_columns
         ),

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from sysid.units import parse_quantity
 ENTRY_POINT_GROUP = "sysid.loaders"
 
 NO, POSSIBLE, CERTAIN = 0, 1, 2
+# Options of a family of formats, and what its readers return.
+_Options = TypeVar("_Options")
+_Raw = TypeVar("_Raw")
 
 
 @dataclass(frozen=True)
@@ -96,17 +99,17 @@ def formats() -> dict[str, LogFormat]:
 
 
 def family_format(
-    options: Callable[..., Any],
-    record: Callable[[Source, str, Callable[[Source, Any], Any], Any], Recording],
+    options: Callable[..., _Options],
+    record: Callable[[Source, str, Callable[[Source, _Options], _Raw], _Options], Recording],
     name: str,
     describes: str,
     recognize: Callable[[Source], int],
-    parse: Callable[[Source, Any], Any],
+    parse: Callable[[Source, _Options], _Raw],
     takes: Mapping[str, tuple[str, ...]],
 ) -> LogFormat:
     """Return a format of a family, which makes a recording of what ``parse(source, options)`` returns."""
 
-    def read(source: Source, **given: Any) -> Recording:
+    def read(source: Source, **given: object) -> Recording:
         return record(source, name, parse, options(**given))
 
     read.__module__ = parse.__module__
@@ -165,7 +168,7 @@ def detect(path: str | Path) -> str:
     return _detect(Source(path)).name
 
 
-def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording:
+def load(path: str | Path, *, format: str = "auto", **options: object) -> Recording:
     """Read one log: channels in SI, each on its own clock [s], with provenance.
 
     Parameters
@@ -217,7 +220,7 @@ def load(path: str | Path, *, format: str = "auto", **options: Any) -> Recording
         raise type(error)(one_line(str(error))) from error
 
 
-def _check_kinds(path: str, given: Mapping[str, Any]) -> None:
+def _check_kinds(path: str, given: Mapping[str, object]) -> None:
     """Refuse an option of another kind than any reader means by it: a text "no" would count as true."""
     if not isinstance(static := given.get("static", False), bool):
         raise LogError(f"{path}: static = {static!r} is neither true nor false; write static = true")

@@ -43,8 +43,8 @@ from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
 from sysid.recording import Channel, FloatArray, Recording
 
-# What signals of other names may be, in the unit that the channel carries. Temperatures (offset scales) and a
-# bare "g" (gram or standard gravity) are kept as recorded.
+# Unit of a signal of another name, and unit that its channel shows. Temperatures (offset scales) and a bare
+# "g" (gram or standard gravity) are kept as recorded.
 _OTHER_UNITS = {
     "V": "V", "A": "A", "W": "W", "N": "N", "N*m": "N·m", "Pa": "Pa", "m/s^2": "m/s²", "m/s": "m/s",
     "rad/s": "rad/s", "rad": "rad", "m": "m", "s": "s", "Hz": "Hz", "1": "1",
@@ -91,11 +91,6 @@ class Signal:
     def stated_unit(self) -> str | None:
         """Unit that the file states beside the signal or in its label."""
         return self.unit if self.unit is not None or self.numbered else split_label(self.label)[1]
-
-    @property
-    def guesses_unit(self) -> bool:
-        """Whether the unit is only the end of the label."""
-        return self.unit is None and suffix_unit(self.label) is not None
 
     @property
     def is_time(self) -> bool:
@@ -272,7 +267,13 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
     check_tachometer(path, chosen, per_revolution)
     declared = DeclaredUnits(path, options.units)
     columns = {
-        name: Column(index, signal.label, signal.stem, signal.stated_unit, signal.guesses_unit)
+        name: Column(
+            index,
+            signal.label,
+            signal.stem,
+            signal.stated_unit,
+            guessed=signal.unit is None and suffix_unit(signal.label) is not None,
+        )
         for index, (name, signal) in enumerate(by_name.items())
     }
     clocks = _Clocks(

@@ -108,16 +108,9 @@ def _behind_titles(lines: Sequence[str]) -> int:
 
 def _header_cells(line: str, delimiter: str) -> list[str]:
     """Return the names in a header line; between spaces a unit in brackets belongs to the name before it."""
-    names = split_line(line, delimiter)
     if delimiter != SPACES:
-        return names
-    joined: list[str] = []
-    for name in names:
-        if joined and name[:1] in "([":
-            joined[-1] += f" {name}"
-        else:
-            joined.append(name)
-    return joined
+        return split_line(line, delimiter)
+    return [" ".join(name.split()) for name in re.split(r"\s+(?![(\[])", line.strip())]
 
 
 @dataclass

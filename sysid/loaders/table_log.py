@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -67,7 +66,7 @@ class RawTable:
         self.notes += listing_note("columns-without-values", "columns without a single value", blank)
 
 
-def motor_transform(path: str, transform: Mapping[str, Any]) -> FloatArray:
+def motor_transform(path: str, transform: Mapping[str, object]) -> FloatArray:
     """Return the (6, 6) matrix that turns a load at the transducer into one at the motor's axes.
 
     `transform` has ``dx dy dz``, from the transducer's origin to the motor's in the transducer's axes (``"10
@@ -94,31 +93,21 @@ def motor_transform(path: str, transform: Mapping[str, Any]) -> FloatArray:
     return out
 
 
-def _without_tare(path: str, values: FloatArray, time: FloatArray, tare: Any) -> tuple[FloatArray, Finding]:
-    """Return values less the mean of the first `tare` seconds of each column, and a note.
-
-    A `tare` that is no positive time or covers no sample is a LogError.
-    """
-    if not is_positive(tare):
-        raise LogError(
-            f"{path}: tare = {tare!r}; expected seconds at the start of the log without load, or with their "
-            'unit: tare = "1 s"'
-        )
-    first = time < time[0] + float(tare)
-    seen = np.isfinite(values[first])
-    if not seen.any(axis=0).all():
-        raise LogError(f"{path}: the first {float(tare):g} s have no sample to take the tare from")
-    offset = np.asarray(np.nanmean(values[first], axis=0))
-    sentence = f"tare: the mean of the first {tare:g} s was subtracted"
-    return values - offset, note("tare-subtracted", sentence)
-
-
 def _load_channels(path: str, raw: RawTable, loads: FloatArray, options: BenchOptions) -> dict[str, Channel]:
     """Return the six loads: tare off, scaled, at the motor's axes."""
     load = loads
-    if options.tare is not None:
-        load, tared = _without_tare(path, load, raw.time, options.tare)
-        raw.notes.append(tared)
+    tare = options.tare
+    if tare is not None:
+        if not is_positive(tare):
+            raise LogError(
+                f"{path}: tare = {tare!r}; expected seconds at the start of the log without load, or with "
+                'their unit: tare = "1 s"'
+            )
+        first = load[raw.time < raw.time[0] + float(tare)]
+        if not np.isfinite(first).any(axis=0).all():
+            raise LogError(f"{path}: the first {float(tare):g} s have no sample to take the tare from")
+        load = load - np.nanmean(first, axis=0)
+        raw.notes.append(note("tare-subtracted", f"tare: the mean of the first {tare:g} s was subtracted"))
     if raw.scale is not None:
         load = load @ raw.scale.T if raw.scale.ndim == 2 else load * raw.scale
     if raw.limits is not None and (over := np.any(np.abs(load) > raw.limits, axis=0)).any():

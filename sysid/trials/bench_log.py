@@ -197,27 +197,24 @@ def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> B
     if speed is not None:
         rest = idle & (np.nan_to_num(speed) == 0)
         if not rest.any():
-            rest = idle & (np.abs(speed) <= _noise_at_rest(time, np.nan_to_num(speed), idle))
+            # The noise of the quietest 0.5 s without a command [rad/s]; a rotor that never stood has none.
+            size = max(round(_RINGING / float(np.median(np.diff(time)))), 2) if time.size > 1 else 2
+            limit = 0.0
+            if time.size >= size:
+                turned = np.nan_to_num(speed)
+                squares, idles = (
+                    np.append(0.0, np.cumsum(x)) for x in (np.where(idle, turned**2, 0.0), idle)
+                )
+                whole = idles[size:] - idles[:-size] == size
+                quietest = max(np.min((squares[size:] - squares[:-size])[whole], initial=np.inf), 0.0)
+                limit = min(5.0 * np.sqrt(quietest / size), _STANDS * np.max(np.abs(turned)))
+            rest = idle & (np.abs(speed) <= limit)
     moving = time[~rest]
     if moving.size == 0:
         return rest
     index = np.searchsorted(moving, time)
     since = time - moving[np.maximum(index - 1, 0)]
     return rest & ((index == 0) | (since > _RINGING))
-
-
-def _noise_at_rest(time: FloatArray, speed: FloatArray, idle: BoolArray) -> float:
-    """Return five times the noise of the speed in the quietest 0.5 s without a command [rad/s].
-
-    It is at most what counts as standing, so that a rotor that never stood does not seem to.
-    """
-    rows = max(round(_RINGING / float(np.median(np.diff(time)))), 2) if time.size > 1 else 2
-    if time.size < rows:
-        return 0.0
-    squares, idles = (np.append(0.0, np.cumsum(x)) for x in (np.where(idle, speed**2, 0.0), idle))
-    whole = idles[rows:] - idles[:-rows] == rows
-    quietest = np.min((squares[rows:] - squares[:-rows])[whole], initial=np.inf)
-    return float(min(5.0 * np.sqrt(max(quietest, 0.0) / rows), _STANDS * np.max(np.abs(speed))))
 
 
 def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatArray:

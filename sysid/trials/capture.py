@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.recording import Channel, Recording
+from sysid.recording import Recording
 from sysid.types import BoolArray, FloatArray
 
-# A frame this close to its slot on the uniform clock (in sample periods) is taken as it is.
+# Largest distance of a frame from its slot on the uniform clock at which it is taken as it is [periods].
 _SNAP = 0.05
-# Off-plane rotation beyond which the planar model is questionable (the paper's assumption).
+# Largest rotation out of the plane that the planar model allows (the paper's assumption) [rad].
 PLANAR_LIMIT = np.radians(10.0)
 
 
@@ -96,7 +96,15 @@ def spatial_motion(
             f"{where}: rigid body {rigid_body!r} was seen in {valid.sum()} frames; record it again"
         )
 
-    time, found_rate, jitter = _uniform_clock(position, rate)
+    steps = np.diff(position.time)
+    median = float(np.median(steps))
+    span = float(position.time[-1] - position.time[0])
+    count = round(span / median)
+    # Without holes the whole span gives the rate to many digits; with holes its nearest whole count does.
+    period = 1.0 / rate if rate else (span / count if abs(span / count - median) < 0.02 * median else median)
+    found_rate = 1.0 / period
+    time = position.time[0] + period * np.arange(int(np.floor(span / period + 0.5)) + 1)
+    jitter = float(np.percentile(np.abs(steps - np.round(steps / period) * period), 95)) / period  # [frames]
     quaternion = orientation.values.copy()
     quaternion[~valid] = np.nan
     columns = np.column_stack([position.values, quaternion])
@@ -115,19 +123,6 @@ def spatial_motion(
         )
         notes.append(note("clock-jitters", sentence))
     return SpatialMotion(time, found_rate, centre, turn, seen, tuple(notes))
-
-
-def _uniform_clock(channel: Channel, rate: float | None) -> tuple[FloatArray, float, float]:
-    """Return slots of a uniform clock from the first sample on, its rate [Hz], and the jitter [frames]."""
-    steps = np.diff(channel.time)
-    median = float(np.median(steps))
-    span = float(channel.time[-1] - channel.time[0])
-    count = round(span / median)
-    # Without holes the whole span gives the rate to many digits; with holes its nearest whole count does.
-    period = 1.0 / rate if rate else (span / count if abs(span / count - median) < 0.02 * median else median)
-    slots = int(np.floor(span / period + 0.5)) + 1
-    jitter = float(np.percentile(np.abs(steps - np.round(steps / period) * period), 95)) / period
-    return channel.time[0] + period * np.arange(slots), 1.0 / period, jitter
 
 
 def _place(source: FloatArray, values: FloatArray, time: FloatArray, rate: float, snap: float) -> FloatArray:

@@ -25,12 +25,12 @@ from sysid.trials.flight import (
 )
 from sysid.types import FloatArray
 
-# A hold counts back to the last sample this far from its place or turned by this much, at most for this long
-# [m, rad, s]: every simulation starts from the mean of its samples.
+# Largest distance [m] and turn [rad] of a held body from its place, and longest hold [s]: every simulation
+# starts from the mean of a hold's samples.
 _STILL = 2e-3
 _STILL_TURN = np.radians(1.5)
 _LONGEST_HOLD = 2.0
-# Ballistic fits reach this far back from the touchdown at most [s].
+# Longest ballistic fit before a touchdown [s].
 _LOOK_BACK = 0.6
 
 
@@ -119,11 +119,7 @@ def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float 
     hold = hold_before(onset, half, motion.rate, height)
     if hold is None or motion.valid[hold].sum() < 3:
         return slice(onset, onset)
-    return slice(_still_since(motion, hold), hold.stop)
-
-
-def _still_since(motion: SpatialMotion, hold: slice) -> int:
-    """Return the first sample of the rest that a hold is the end of: more samples tell its place better."""
+    # The rest that the hold is the end of: more samples tell its place better.
     first = max(0, hold.stop - round(_LONGEST_HOLD * motion.rate))
     place = np.nanmean(np.where(motion.valid[hold, None], motion.position[hold], np.nan), axis=0)
     turn = held_level(motion, hold)
@@ -133,7 +129,7 @@ def _still_since(motion: SpatialMotion, hold: slice) -> int:
     trace = np.einsum("ij,nij->n", turn, motion.rotation[before])
     turned = trace < 1 + 2 * np.cos(_STILL_TURN)
     moved = np.flatnonzero(motion.valid[before] & (away | turned))
-    return first + int(moved[-1]) + 1 if len(moved) else first
+    return slice(first + int(moved[-1]) + 1 if len(moved) else first, hold.stop)
 
 
 def fit_flight(
@@ -183,7 +179,15 @@ def _fit(
         )
     time, coordinates = motion.time[use], motion.coordinates()[use]
     if not hangs:
-        return _fit_ballistic(time, coordinates, gravity)
+        elapsed = time - time[0]
+        design = np.column_stack([np.ones_like(elapsed), elapsed])
+        target = coordinates.copy()
+        target[:, 1] += 0.5 * gravity * elapsed**2
+        solution, *_ = np.linalg.lstsq(design, target, rcond=None)
+        noise = np.std(target - design @ solution, axis=0)
+        own = float(-2 * np.polyfit(elapsed, coordinates[:, 1], 2)[0]) if len(time) >= 5 else float("nan")
+        state = np.concatenate([solution[0], solution[1]])
+        return Flight(float(time[0]), False, state, gravity, own, noise)
 
     since = time - touchdown
     bounds = (motion.time[hold.stop - 1] - 0.02 - touchdown, -period)
@@ -214,18 +218,6 @@ def _fit(
         guess = np.array([origin[1], release, gravity])
         measured = float(optimize.least_squares(with_free_gravity, guess, x_scale=[1e-3, 1e-3, 1.0]).x[2])
     return Flight(touchdown + release, True, np.concatenate([origin, rates]), gravity, measured, noise)
-
-
-def _fit_ballistic(time: FloatArray, coordinates: FloatArray, gravity: float) -> Flight:
-    start = float(time[0])
-    elapsed = time - start
-    design = np.column_stack([np.ones_like(elapsed), elapsed])
-    target = coordinates.copy()
-    target[:, 1] += 0.5 * gravity * elapsed**2
-    solution, *_ = np.linalg.lstsq(design, target, rcond=None)
-    noise = np.std(target - design @ solution, axis=0)
-    measured = float(-2 * np.polyfit(elapsed, coordinates[:, 1], 2)[0]) if len(time) >= 5 else float("nan")
-    return Flight(start, False, np.concatenate([solution[0], solution[1]]), gravity, measured, noise)
 
 
 def _contact_time(flight: Flight, feet: Feet, guess: float) -> float:

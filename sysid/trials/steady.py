@@ -76,7 +76,13 @@ def steady_points(
     Valid for ramps of 20 s or more from rest to full; ignores what the rotor trails by (0.5 % of its speed).
     """
     names, rows = ("speed", "thrust", "torque", "voltage"), []
-    for first, end, level in _ramp_windows(time, steps) if ramp else _plateaus(time, steps):
+    if ramp:
+        windows = _ramp_windows(time, steps)
+    else:
+        ends = np.append(steps.time[1:], time[-1] + 1e-9)
+        begins = np.maximum(steps.time, time[0]) + SETTLE
+        windows = list(zip(begins.tolist(), ends.tolist(), steps.level.tolist(), strict=True))
+    for first, end, level in windows:
         cut = {}
         for name in names:
             if name in channels:
@@ -96,15 +102,6 @@ def steady_points(
     at_rest = zero_rows or {}
     zeros = [np.full(len(rows), at_rest.get(name, 0), dtype=np.int64) for name in ("thrust", "torque")]
     return SteadyPoints(u, turning, thrust, torque, voltage, samples.astype(np.int64), *zeros)
-
-
-def _plateaus(time: FloatArray, steps: CommandSteps) -> list[tuple[float, float, float]]:
-    """Return (start, end, u) of every stretch at one command but its first 0.4 s."""
-    ends = np.append(steps.time[1:], time[-1] + 1e-9)
-    return [
-        (max(start, float(time[0])) + SETTLE, end, level)
-        for start, end, level in zip(steps.time, ends, steps.level, strict=True)
-    ]
 
 
 def _ramp_windows(time: FloatArray, steps: CommandSteps) -> list[tuple[float, float, float]]:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -22,19 +21,19 @@ from sysid.recording import Recording
 from sysid.report.fold import print_table
 from sysid.report.table import number, numbers, table, words
 from sysid.storage import check_file
-from sysid.trials.look import BenchReport, ChannelReport, DropReport, LogReport, inspect_recording
+from sysid.trials.look import BenchReport, DropReport, LogReport, inspect_recording
 
 _MOST_ROWS = 40
 _HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5")
 Draw = Callable[[Sequence[Recording], Sequence[LogReport]], Path]
 
 
-def parse_options(given: Sequence[str]) -> dict[str, Any]:
+def parse_options(given: Sequence[str]) -> dict[str, object]:
     """Return loader options from ``name=value`` words; values are TOML, bare words are text.
 
     Raises `CampaignError` when a word has no ``=``.
     """
-    options: dict[str, Any] = {}
+    options: dict[str, object] = {}
     for word in given:
         name, equals, value = word.partition("=")
         if not equals or not name.strip():
@@ -50,7 +49,7 @@ def inspect_files(
     paths: Sequence[Path],
     *,
     format_name: str = "auto",
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, object] | None = None,
     draw: Draw | None = None,
     as_json: bool = False,
 ) -> None:
@@ -104,7 +103,7 @@ class SecondFile:
 
     path: Path
     format_name: str = "auto"
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     align_by: str = "speed"
 
 
@@ -113,7 +112,7 @@ def convert_file(
     to: Path,
     *,
     format_name: str = "auto",
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, object] | None = None,
     second: SecondFile | None = None,
     force: bool = False,
 ) -> str:
@@ -137,25 +136,6 @@ def convert_file(
     return f"wrote {to}: {len(recording.channels)} channels of {path.name}{alignment}"
 
 
-def _clock_words(channel: ChannelReport) -> str:
-    words = [f"{channel.samples} samples", f"{number(channel.rate, 5)} Hz"]
-    if channel.jitter > 0.01:
-        words.append(f"jitter {100 * channel.jitter:.0f} %")
-    if channel.holes:
-        words.append(f"holes {channel.holes}, longest {number(channel.longest_hole, 3)} s")
-    return ", ".join(words)
-
-
-def _value_words(channel: ChannelReport) -> str:
-    words = []
-    if channel.blank > 0:
-        longest = f", longest {channel.longest_blank:.3g} s" if np.isfinite(channel.longest_blank) else ""
-        words.append(f"blank {100 * channel.blank:.3g} %{longest}")
-    if channel.saturated > 0:
-        words.append(f"at its limit {100 * channel.saturated:.2g} %")
-    return "; ".join(words)
-
-
 def print_log(console: Console, report: LogReport) -> None:
     """Print the content of a log."""
     described = formats()[report.format].describes if report.format in formats() else report.format
@@ -165,10 +145,22 @@ def print_log(console: Console, report: LogReport) -> None:
     if np.isfinite(report.duration):
         console.print(Text(f"  {report.duration:.4g} s"))
     points = report.kind == "static-map"
-    clocks = {
-        channel.name: f"{channel.samples} points" if points else _clock_words(channel)
-        for channel in report.channels
-    }
+    clocks: dict[str, str] = {}
+    doubts: dict[str, str] = {}
+    for channel in report.channels:
+        clock = [f"{channel.samples} samples", f"{number(channel.rate, 5)} Hz"]
+        if channel.jitter > 0.01:
+            clock.append(f"jitter {100 * channel.jitter:.0f} %")
+        if channel.holes:
+            clock.append(f"holes {channel.holes}, longest {number(channel.longest_hole, 3)} s")
+        clocks[channel.name] = f"{channel.samples} points" if points else ", ".join(clock)
+        missing = []
+        if channel.blank > 0:
+            longest = f", longest {channel.longest_blank:.3g} s" if np.isfinite(channel.longest_blank) else ""
+            missing.append(f"blank {100 * channel.blank:.3g} %{longest}")
+        if channel.saturated > 0:
+            missing.append(f"at its limit {100 * channel.saturated:.2g} %")
+        doubts[channel.name] = "; ".join(missing)
     common = len(set(clocks.values())) == 1
     if common and report.channels:
         title = "rows" if points else "clock of all channels"
@@ -179,7 +171,7 @@ def print_log(console: Console, report: LogReport) -> None:
         numbers("lowest", lambda channel: number(channel.lowest)),
         numbers("highest", lambda channel: number(channel.highest)),
         None if common else words("clock", lambda channel: clocks[channel.name]),
-        words("", _value_words),
+        words("", lambda channel: doubts[channel.name]),
     )
     print_table(table("", report.channels[:_MOST_ROWS], columns), console)
     if len(report.channels) > _MOST_ROWS:

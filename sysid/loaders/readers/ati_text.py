@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -126,38 +127,6 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
     )
 
 
-def _factors(path: str, units: Mapping[str, str] | None) -> FloatArray:
-    if units is None:
-        raise UnitError(
-            f"{path}: such a log does not state its units; declare them, for example "
-            'units = {force = "N", torque = "N*m"} or {force = "lbf", torque = "lbf-in"}'
-        )
-    if isinstance(units, Mapping) and "thrust" in units and "force" not in units:
-        units = {("force" if name == "thrust" else name): unit for name, unit in units.items()}
-    if not isinstance(units, Mapping) or set(units) != {"force", "torque"}:
-        raise UnitError(f'{path}: units = {units!r}; expected {{force = "N", torque = "N*m"}}')
-    with naming(path):
-        factors = [factor_to_si(str(units["force"]), "N"), factor_to_si(str(units["torque"]), "N*m")]
-    return np.repeat(factors, 3)
-
-
-def _six_numbers(where: str, axis: str, text: str) -> list[float]:
-    try:
-        values = [float(cell) for cell in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != 6 or not np.all(np.isfinite(values)):
-        raise LogError(f"{where}: UserAxis {axis} is not six numbers; use the file as ATI sent it")
-    return values
-
-
-def _limit(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
 def _read_calibration(path: Path) -> tuple[str, FloatArray, FloatArray]:
     """Return device, (6, 6) matrix from volts to N and N·m, and (6,) largest loads of a ``.cal`` file."""
     where = str(path)
@@ -191,10 +160,19 @@ def _read_calibration(path: Path) -> tuple[str, FloatArray, FloatArray]:
         with naming(f"{where}: {key}"):
             factors.append(factor_to_si(unit, expected))
     scale = np.repeat(factors, 3)
-    matrix = np.array([_six_numbers(where, axis, rows[axis].get("values", "")) for axis in AXES])
-    limits = np.array([_limit(rows[axis].get("max", "nan")) for axis in AXES])
+    rows_of_six, limits = [], np.full(6, np.nan)
+    for place, axis in enumerate(AXES):
+        try:
+            row = [float(cell) for cell in rows[axis].get("values", "").split()]
+        except ValueError:
+            row = []
+        if len(row) != 6 or not np.all(np.isfinite(row)):
+            raise LogError(f"{where}: UserAxis {axis} is not six numbers; use the file as ATI sent it")
+        rows_of_six.append(row)
+        with suppress(ValueError):
+            limits[place] = float(rows[axis].get("max", "nan"))
     parts = [root.get("BodyStyle", ""), root.get("Serial", ""), node.get("PartNumber", "")]
-    return " ".join(["ATI", *filter(None, parts)]), matrix * scale[:, None], limits * scale
+    return " ".join(["ATI", *filter(None, parts)]), np.array(rows_of_six) * scale[:, None], limits * scale
 
 
 def _turns(column: FloatArray) -> tuple[int, int, bool]:
@@ -241,7 +219,18 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         raise UnitError(f"{path}: units and calibration exclude each other: the calibration states its own")
     device, limits = "ATI", None
     if options.calibration is None:
-        scale = _factors(path, loads)
+        if loads is None:
+            raise UnitError(
+                f"{path}: such a log does not state its units; declare them, for example "
+                'units = {force = "N", torque = "N*m"} or {force = "lbf", torque = "lbf-in"}'
+            )
+        if isinstance(loads, Mapping) and "thrust" in loads and "force" not in loads:
+            loads = {("force" if name == "thrust" else name): unit for name, unit in loads.items()}
+        if not isinstance(loads, Mapping) or set(loads) != {"force", "torque"}:
+            raise UnitError(f'{path}: units = {loads!r}; expected {{force = "N", torque = "N*m"}}')
+        with naming(path):
+            factors = [factor_to_si(str(loads["force"]), "N"), factor_to_si(str(loads["torque"]), "N*m")]
+        scale = np.repeat(factors, 3)
     else:
         device, scale, limits = _read_calibration(Path(path).parent / options.calibration)
     text, table, stated = _table(read_text(source), path)

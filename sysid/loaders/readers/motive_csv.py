@@ -150,20 +150,15 @@ def _euler_order(path: str, stated: str, declared: str | None) -> str:
     return order
 
 
-def _rates(path: str, settings: dict[str, str]) -> list[float]:
-    """Return the frame rates [Hz] that the header states, of the export first."""
-    rates = []
-    for key in ("Export Frame Rate", "Capture Frame Rate"):
-        try:
-            rates.append(float(settings.get(key, "nan").replace(",", ".")))
-        except ValueError:
-            raise LogError(f"{path}: {key} is {settings[key]!r}; expected frames per second") from None
-    return [rate for rate in rates if is_positive(rate)]
-
-
 def _clock(path: str, header: _Header, numbers: Numbers, clock: str) -> tuple[FloatArray, list[Finding]]:
     """Return the times [s]: rebuilt from frame numbers and checked against the Time column, or written."""
-    known = _rates(path, header.settings)
+    known = []
+    for key in ("Export Frame Rate", "Capture Frame Rate"):
+        try:
+            rate = float(header.settings.get(key, "nan").replace(",", "."))
+        except ValueError:
+            raise LogError(f"{path}: {key} is {header.settings[key]!r}; expected frames per second") from None
+        known += [rate] if is_positive(rate) else []
     if "frame" not in header.clocks and "time" not in header.clocks:
         raise LogError(f"{path}, line {header.table.line}: neither a Frame nor a Time column; export them")
     if clock == "time" or "frame" not in header.clocks or not known:

@@ -24,7 +24,7 @@ from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source, split_line
 from sysid.loaders.table import Numbers
 from sysid.loaders.table_log import RawTable, table_format
-from sysid.recording import BoolArray, Channel, FloatArray
+from sysid.recording import Channel, FloatArray
 
 _COMMAND = frozenset({"esc signal", "esc"})
 # channel: (stem in the header, unit of the channel)
@@ -48,22 +48,8 @@ _MOST_MESSAGES = 5
 _LARGEST_DSHOT = 2047.0
 # Pulse widths of every speed controller lie within these [µs].
 _PULSE = (700.0, 2300.0)
-# Running logs of these stands step by 8 to 50 ms, averaged points by 0.45 to 5 s (measured on real logs).
+# Least step of averaged points [s]: running logs of these stands step by 8 to 50 ms, points by 0.45 to 5 s.
 _STATIC_STEP = 0.2
-
-
-def _is_static(time: FloatArray, again: BoolArray) -> bool:
-    """Return whether rows are averaged points: half of them or more lie over 0.2 s from the next.
-
-    Rows that stand `again`, copies of the row before, do not count.
-    """
-    known = time[np.isfinite(time) & ~again]
-    return known.size > 1 and float(np.median(np.abs(np.diff(known)))) >= _STATIC_STEP
-
-
-def _names_time(header: tuple[Column, ...]) -> bool:
-    """Return whether a column may be a clock by another name."""
-    return any(re.search("time|clock", column.label, re.IGNORECASE) for column in header)
 
 
 def _point_notes(numbers: Numbers, time: FloatArray | None) -> list[Finding]:
@@ -145,15 +131,6 @@ def _command_unit(
     return "dshot"
 
 
-def _both_speeds(units: Mapping[str, str] | None, columns: tuple[Column, ...]) -> Mapping[str, str] | None:
-    """Return declared units in which the unit of ``speed`` counts for both probes."""
-    if not isinstance(units, Mapping) or "speed" not in units:
-        return units
-    probes = {_QUANTITIES[name][0] for name in _SPEEDS} & {column.stem for column in columns}
-    others = {name: unit for name, unit in units.items() if name != "speed"}
-    return dict.fromkeys(sorted(probes), units["speed"]) | others if probes else units
-
-
 def _messages(table: NamedTable, column: Column) -> list[Finding]:
     """Return a note with the messages of the stand's program, each once with its line."""
     messages: dict[str, int] = {}
@@ -189,6 +166,9 @@ def _clock(
     for values in numbers.columns.values():
         again[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     written = None if column is None else numbers.columns[column.index] * seconds
+    # Rows are averaged points where half of them or more lie far from the next, copies left aside.
+    known = np.empty(0) if written is None else written[np.isfinite(written) & ~again]
+    apart = known.size > 1 and float(np.median(np.abs(np.diff(known)))) >= _STATIC_STEP
     static = options.static
     if static is None and written is None:
         levels = numbers.columns[command.index]
@@ -196,8 +176,8 @@ def _clock(
         if not static:
             raise _no_clock(path)
     elif static is None:
-        static = written is not None and _is_static(written, again)
-    elif static is False and written is not None and _is_static(written, again):
+        static = apart
+    elif static is False and written is not None and apart:
         raise LogError(
             f"{path}: rows lie {float(np.nanmedian(np.abs(np.diff(written)))):.3g} s apart (median): "
             "averaged points, not a running log; leave static out, or record the log at the stand's full rate"
@@ -215,7 +195,12 @@ def _clock(
 def _parse(source: Source, options: BenchOptions) -> RawTable:
     table = NamedTable(source, options, renames=False)
     path, header = table.path, table.columns
-    declared = DeclaredUnits(path, _both_speeds(options.units, header))
+    units = options.units
+    if isinstance(units, Mapping) and "speed" in units:  # it counts for both probes
+        probes = {_QUANTITIES[name][0] for name in _SPEEDS} & {column.stem for column in header}
+        others = {name: unit for name, unit in units.items() if name != "speed"}
+        units = dict.fromkeys(sorted(probes), units["speed"]) | others if probes else units
+    declared = DeclaredUnits(path, units)
     command = table.find(_COMMAND)
     if command is None:
         raise table.missing('"ESC signal" or "ESC"')
@@ -224,7 +209,9 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     if not any(name in columns for name in _MEASURED):
         raise table.missing('"Thrust", "Torque" or "Motor Optical Speed"')
     clock = table.find({"time"})
-    if clock is None and (options.static is False or (options.static is None and _names_time(header))):
+    # A column may be a clock by another name.
+    named = any(re.search("time|clock", column.label, re.IGNORECASE) for column in header)
+    if clock is None and (options.static is False or (options.static is None and named)):
         raise _no_clock(path)
     temperatures = [column for column in header if (column.unit or "") in ("ºC", "°C", "degC")]
 

@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -107,17 +107,15 @@ class LogReport(Shown):
     format: str
     device: str
     kind: str
-    # From the first to the last sample of any channel [s]; NaN for a static map.
+    # First to last sample of any channel [s]; NaN for a static map.
     duration: float
-    # In file order.
     channels: tuple[ChannelReport, ...]
-    # Where a body falls.
     drop: DropReport | None
-    # Of a running log of a thrust stand or load cell.
+    # Only for a running log of a thrust stand or load cell.
     bench: BenchReport | None
-    # What looks like a mistake.
+    # Sentences on what looks like a mistake.
     suspicions: tuple[Finding, ...]
-    # What the loader noticed and did.
+    # Sentences of the loader: what it noticed and did.
     notes: tuple[Finding, ...]
 
     def __repr__(self) -> str:
@@ -136,15 +134,15 @@ class LogReport(Shown):
         """Return suspicions and notes."""
         return tuple(dict.fromkeys((*self.suspicions, *self.notes)))
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, object]:
         """Return the report as plain values for JSON; a number that is unknown is None."""
-        stated: dict[str, Any] = json.loads(TypeAdapter(LogReport).dump_json(self))
+        stated: dict[str, object] = json.loads(TypeAdapter(LogReport).dump_json(self))
         for name in ("suspicions", "notes"):
             stated[name] = [str(finding) for finding in getattr(self, name)]
         return stated
 
 
-def log_quality(name: str, use: str, report: LogReport) -> dict[str, Any]:
+def log_quality(name: str, use: str, report: LogReport) -> dict[str, object]:
     """Return how good the log of a trial is, as `sysid check` states it."""
     channels = report.channels
     return {

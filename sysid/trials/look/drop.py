@@ -58,7 +58,7 @@ class DropReport:
     touchdown: float
     # Downward speed at touchdown [m/s].
     impact_speed: float
-    # From release (or the top of the flight) to touchdown [m].
+    # Height lost between release (or the top of the flight) and touchdown [m].
     fall_height: float
     # Horizontal way from touchdown to the end of the log, capture axes [m].
     slide: tuple[float, float, float]
