@@ -1,7 +1,6 @@
-"""Small logs of every text format, as the instruments write them, with their truth, and how each is damaged.
+"""Small logs of every text format, as the instruments write them, and how each one is damaged.
 
-A writer returns the bytes of a log and its truth: channel -> (times [s], values in SI, NaN where it wrote
-none). A damage takes a `Log` and a random generator and returns bytes.
+A log is bytes; a damage takes a `Log` and a random generator and returns bytes.
 """
 
 from collections.abc import Mapping
@@ -9,56 +8,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-GRAM = 9.80665e-3
-
-
-def gaps(values, rows):
-    """Return numbers (n,) or (n, k) as written, with NaN in some rows."""
-    written = np.array(values, dtype=float)
-    written[np.asarray(rows)] = np.nan
-    return written
-
-
-def turned(count, quaternion, rows=()):
-    """Return one unit quaternion, w first, for each of `count` rows, NaN in some rows."""
-    return gaps(np.tile(quaternion, (count, 1)), np.isin(np.arange(count), list(rows)))
-
-
-def of_one_clock(time, **channels):
-    """Return the truth of a log whose channels share their times; ``__`` in a name stands for ``/``."""
-    return {name.replace("__", "/"): (np.asarray(time), values) for name, values in channels.items()}
-
-
-ROWS = np.arange(40)
-AXES = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
-
 
 def stand():
     random = np.random.default_rng(1)
     names = "Time (s),ESC signal (µs),Servo 1 (µs),Torque (N·m),Thrust (gf),Motor Optical Speed (rad/s),"
-    rows, numbers = [], random.normal(size=(40, 3)) * 100 + 500
-    for i, (x, y, z) in enumerate(numbers):
+    rows = []
+    for i, (x, y, z) in enumerate(random.normal(size=(40, 3)) * 100 + 500):
         thrust, message = ("", "") if i % 3 else (f"{y:.9f}", '"late, sample"')
         rows.append(f"{i * 0.012:.6f},{1000 + 10 * i},,{x:.9f},{thrust},{abs(z):.6f},{message},")
     lines = ["\ufeff" + names + "App message,", *rows, "# fitted by hand", "# tau: 0.027", ""]
-    speed = np.abs(numbers[:, 2]).round(6)
-    truth = of_one_clock(
-        ROWS * 0.012, command=1000 + 10 * ROWS, torque=numbers[:, 0].round(9), speed=speed,
-        thrust=gaps(numbers[:, 1].round(9), ROWS % 3 > 0) * GRAM, speed_optical=speed,
-    )  # fmt: skip
-    return "\r\n".join(lines).encode("utf-8"), truth
+    return "\r\n".join(lines).encode("utf-8")
 
 
 def cell():
     rows = ["Time (s),Command (us),Speed (rad/s),Fz (N),Mz (N·m)"]
-    numbers = np.random.default_rng(2).normal(size=(40, 3))
-    for i, (a, b, c) in enumerate(numbers):
+    for i, (a, b, c) in enumerate(np.random.default_rng(2).normal(size=(40, 3))):
         rows.append(f"{i * 1e-4:.4f},{1500 + i},{a:.4f},{f'{b:.6f}' if i % 6 else ''},{c:.8f}")
-    truth = of_one_clock(
-        ROWS * 1e-4, command=1500 + ROWS, speed=numbers[:, 0].round(4), torque=numbers[:, 2].round(8),
-        thrust=gaps(numbers[:, 1].round(6), ROWS % 6 == 0),
-    )  # fmt: skip
-    return "\n".join([*rows, ""]).encode("utf-8"), truth
+    return "\n".join([*rows, ""]).encode("utf-8")
 
 
 def motive():
@@ -74,31 +40,18 @@ def motive():
         parts + ",Position" * 3,
         "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,X,Y,Z",
     ]
-    places = random.normal(size=(40, 3)) * 1000
-    for i, numbers in enumerate(places):
-        place = ",".join(f"{x:.6f}" for x in numbers)
+    for i in range(40):
+        place = ",".join(f"{x:.6f}" for x in random.normal(size=3) * 1000)
         pose = f"0.600000,0.000000,0.000000,{-0.8 if i % 7 else 0.8:.6f},{place},0.000210"
         out.append(f"{i},{i / 200:.6f},{pose if i % 5 else ',' * 7},{place}")
-    place, lost = places.round(6) * 1e-3, ROWS % 5 == 0
-    turns = turned(40, (-0.8, 0.6, 0, 0), ROWS[lost])
-    turns[ROWS % 7 == 0, 0] *= -1
-    truth = of_one_clock(
-        ROWS / 200, quad__position=gaps(place, lost), quad__orientation=turns, board__position=place
-    )
-    return "\r\n".join([*out, ""]).encode("utf-8"), truth
+    return "\r\n".join([*out, ""]).encode("utf-8")
 
 
 def pose():
     rows = ["t,x_m,y_m,z_m,qx,qy,qz,qw"]
-    numbers = np.random.default_rng(4).normal(size=(40, 3))
-    for i, (x, y, z) in enumerate(numbers):
+    for i, (x, y, z) in enumerate(np.random.default_rng(4).normal(size=(40, 3))):
         rows.append(f"{1.7e9 + i * 0.01:.4f},{x:.6f},{f'{y:.6f}' if i % 9 else ''},{z:.6f},0.6,0,0,0.8")
-    place = numbers.round(6)
-    place[ROWS % 9 == 0, 1] = np.nan
-    truth = of_one_clock(
-        (1.7e9 + ROWS * 0.01).round(4), body__position=place, body__orientation=turned(40, (0.8, 0.6, 0, 0))
-    )
-    return "\n".join([*rows, ""]).encode("utf-8"), truth
+    return "\n".join([*rows, ""]).encode("utf-8")
 
 
 def lvm():
@@ -109,34 +62,25 @@ def lvm():
         "X0\t0.0\t0.0\t0.0\t", "Delta_X\t0.001\t0.001\t0.001\t", "***End_of_Header***\t\t\t\t",
         "X_Value\tCommand\tFz\tMz\tComment",
     ]  # fmt: skip
-    numbers = np.random.default_rng(5).normal(size=(40, 2))
-    for i, (a, b) in enumerate(numbers):
+    for i, (a, b) in enumerate(np.random.default_rng(5).normal(size=(40, 2))):
         force = f"{a:.6f}" if i % 8 else ""
         lines.append(f"{i * 0.001:.6f}\t{1000 + i}\t{force}\t{b:.8f}" + ("\tLOST" if i % 9 == 4 else ""))
-    thrust, torque = gaps(numbers[:, 0].round(6), ROWS % 8 == 0), numbers[:, 1].round(8)
-    truth = of_one_clock(ROWS * 0.001, command=1000 + ROWS, thrust=thrust, torque=torque)
-    return "\n".join([*lines, ""]).encode("utf-8"), truth
+    return "\n".join([*lines, ""]).encode("utf-8")
 
 
 def vicon():
     random = np.random.default_rng(6)
     lines = ["Objects,", "100,", ",,Global Angle (Quaternion) quad:quad,,,,,,,"]
     lines += ["Frame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ,", ",,,,,,mm,mm,mm,"]
-    quad, boards = random.normal(size=(40, 3)) * 1000, random.normal(size=(40, 6)) * 1000
-    for i, numbers in enumerate(quad):
-        place = ",".join(f"{x:.4f}" for x in numbers)
+    for i in range(40):
+        place = ",".join(f"{x:.4f}" for x in random.normal(size=3) * 1000)
         lines.append(f"{i + 1},0," + (f"0.6,0,0,0.8,{place}," if i % 5 else ""))
     lines += ["", "Trajectories,", "100,", ",,board:1,,,board:2,,,"]
     lines += ["Frame,Sub Frame,X,Y,Z,X,Y,Z,", ",,mm,mm,mm,mm,mm,mm,"]
-    for i, numbers in enumerate(boards):
-        place = ",".join(f"{x:.4f}" for x in numbers)
+    for i in range(40):
+        place = ",".join(f"{x:.4f}" for x in random.normal(size=6) * 1000)
         lines.append(f"{i + 1},0,{place if i % 7 else ',,,,,'},")
-    # A frame that ends before its last columns has no place in the log.
-    time, there, boards = (ROWS + 1) / 100, ROWS % 5 > 0, gaps(boards.round(4), ROWS % 7 == 0) * 1e-3
-    truth = of_one_clock(time, **{"board:1__position": boards[:, :3], "board:2__position": boards[:, 3:]})
-    turns = turned(32, (0.8, 0.6, 0, 0))
-    truth |= of_one_clock(time[there], quad__position=quad[there].round(4) * 1e-3, quad__orientation=turns)
-    return "\r\n".join([*lines, ""]).encode("utf-8"), truth
+    return "\r\n".join([*lines, ""]).encode("utf-8")
 
 
 def qualisys():
@@ -148,20 +92,13 @@ def qualisys():
         "Frame\tTime\tquad X\tY\tZ\tRoll\tPitch\tYaw\tResidual\t"
         + "\t".join(f"Rot[{i}]" for i in range(9)) + "\t",
     ]  # fmt: skip
-    turns = Rotation.from_rotvec(np.random.default_rng(7).normal(size=(40, 3)))
-    for i, matrix in enumerate(turns.as_matrix()):
+    turns = Rotation.from_rotvec(np.random.default_rng(7).normal(size=(40, 3))).as_matrix()
+    for i, matrix in enumerate(turns):
         cells = [i * 10.5, 2.0, 3.0, 0, 0, 0, 0.3, *matrix.T.ravel()] if i % 6 else [0.0] * 16
         blank = {3: range(3), 5: range(16)}.get(i % 7, ())
         shown = ["" if k in blank else f"{x:.6f}" for k, x in enumerate(cells)]
         lines.append(f"{i + 1}\t{i / 200:.5f}\t" + "\t".join(shown) + "\t")
-    lost = (ROWS % 6 == 0) | (ROWS % 7 == 5)
-    place = np.column_stack([ROWS * 10.5, 2 + 0 * ROWS, 3 + 0 * ROWS]) * 1e-3
-    truth = of_one_clock(
-        ROWS / 200, quad__position=gaps(place, lost | (ROWS % 7 == 3)),
-        quad__orientation=gaps(np.roll(turns.as_quat(), 1, axis=1), lost),
-        quad__residual=gaps(np.full(40, 0.3e-3), lost),
-    )  # fmt: skip
-    return "\r\n".join([*lines, ""]).encode("utf-8"), truth
+    return "\r\n".join([*lines, ""]).encode("utf-8")
 
 
 def ros():
@@ -169,17 +106,11 @@ def ros():
     names += "".join(f",field.pose.position.{axis}" for axis in "xyz")
     names += "".join(f",field.pose.orientation.{axis}" for axis in "xyzw")
     lines = [names]
-    numbers = np.random.default_rng(9).normal(size=(40, 3))
-    for i, (x, y, z) in enumerate(numbers):
+    for i, (x, y, z) in enumerate(np.random.default_rng(9).normal(size=(40, 3))):
         stamp = 1538000000123456789 + i * 10_000_000
         place = f"{x:.6f},{y:.6f},{z:.6f}" if i % 10 else ",,"
         lines.append(f"{stamp + 300_000},{i},{stamp},world,{place},0.0,0.6,0.0,0.8")
-    truth = of_one_clock(
-        (1538000000123456789 + ROWS * 10_000_000) * 1e-9,
-        body__position=gaps(numbers.round(6), ROWS % 10 == 0),
-        body__orientation=turned(40, (0.8, 0, 0.6, 0)),
-    )
-    return "\n".join([*lines, ""]).encode("utf-8"), truth
+    return "\n".join([*lines, ""]).encode("utf-8")
 
 
 def net_ft():
@@ -188,51 +119,33 @@ def net_ft():
         "Counts per Unit Force: 1000000.0", "Torque Units: Nm", "Counts per Unit Torque: 1000000.0",
         "Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time",
     ]  # fmt: skip
-    numbers = np.random.default_rng(10).integers(-(10**7), 10**7, size=(40, 6))
-    for i, row in enumerate(numbers):
+    for i, row in enumerate(np.random.default_rng(10).integers(-(10**7), 10**7, size=(40, 6))):
         counts = ", ".join(str(int(number)) if i % 9 or k else "" for k, number in enumerate(row))
         lines.append(f"0, {500 + i + (i > 20)}, {9000 + 7 * i}, {counts}, 3:04:05.{i:03d} PM")
-    loads = numbers * 1e-6
-    loads[ROWS % 9 == 0, 0] = np.nan
-    truth = of_one_clock((ROWS + (ROWS > 20)) / 1000, **dict(zip(AXES, loads.T, strict=True)))
-    return "\n".join([*lines, ""]).encode("utf-8"), truth
+    return "\n".join([*lines, ""]).encode("utf-8")
 
 
 def ati():
     lines = ["First line indicates sampling freq [Hz], samples per channel, QTimer [ms] ,,,"]
     lines += ["Fx, Fy, Fz, Mz, My, Mz ", "150,75,500,0,0,"]
-    numbers = np.random.default_rng(11).normal(size=(40, 6))
-    for i, row in enumerate(numbers):
+    for i, row in enumerate(np.random.default_rng(11).normal(size=(40, 6))):
         lines.append(",".join(f"{x:.6f}" for x in row) if i % 8 != 3 else ",,,,,")
-    loads = gaps(numbers.round(6), ROWS % 8 == 3)
-    return "\n".join([*lines, ""]).encode("utf-8"), of_one_clock(
-        ROWS / 150, **dict(zip(AXES, loads.T, strict=True))
-    )
+    return "\n".join([*lines, ""]).encode("utf-8")
 
 
 @dataclass(frozen=True)
 class Log:
-    """One text log: its delimiter, the lines that name its columns and hold its first row, from 0.
+    """One text log: its bytes, delimiter, the lines that name its columns and hold its first row, from 0.
 
     `units` are pairs of a printed unit and another: what is written in the header says what the numbers are.
     """
 
-    written: tuple[bytes, Mapping[str, tuple[np.ndarray, np.ndarray]]]
+    data: bytes
     delimiter: str
     names: int | None
     first: int
     units: tuple[tuple[str, str], ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
-
-    @property
-    def data(self):
-        """Bytes of the file."""
-        return self.written[0]
-
-    @property
-    def truth(self):
-        """Channel -> (times, values) of what the bytes hold."""
-        return self.written[1]
 
 
 _FORCES = (("gf", "N"), ("gf", "kgf"), ("gf", "lbf"), ("gf", "mN"), ("gf", "g"), ("gf", "V"), ("gf", ""))

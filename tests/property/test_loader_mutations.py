@@ -13,10 +13,8 @@ import pytest
 
 from fakes.log_binary import BINARY, binary_log, cell_hdf5
 from fakes.log_binary import DAMAGES as BINARY_DAMAGES
-from fakes.log_files import assert_turns
 from fakes.log_samples import DAMAGES, LOGS, gigantic_field
 from fakes.log_worker import BAD, Worker
-from sysid.loaders import load, table
 
 QUICK, MANY = 18, 300
 # Cases that once ended in a traceback, a crash, a hang, too much memory, or in no short sentence.
@@ -102,28 +100,6 @@ def test_damaged_logs(worker, tmp_path, name):
 @pytest.mark.parametrize("name", [*LOGS, *BINARY])
 def test_many_damaged_logs(worker, tmp_path, name):
     bench(worker, tmp_path, name, range(QUICK, QUICK + MANY))
-
-
-@pytest.mark.parametrize("small", [-1, table._SMALL])
-@pytest.mark.parametrize("format_name", [name for name, log in LOGS.items() if log.truth])
-def test_whole_logs_are_what_was_written(write, monkeypatch, format_name, small):
-    """By the engine, and line by line as small tables are read."""
-    monkeypatch.setattr(table, "_SMALL", small)
-    log = LOGS[format_name]
-    path = write(log.data, "log.csv")
-    for asked in (format_name, "auto"):
-        if asked == "auto" and log.options:
-            continue
-        recording = load(path, format=asked, **log.options)
-        assert set(recording.channels) == set(log.truth)
-        for name, (time, values) in log.truth.items():
-            channel = recording[name]
-            # A start of whole microseconds and products of rounded factors: some units in the last place.
-            np.testing.assert_allclose(channel.time, time, rtol=1e-15, atol=1e-15)
-            if name.endswith("/orientation"):
-                assert_turns(channel, values, np.isnan(values).any(axis=1), 1e-6)  # printed to six decimals
-            else:
-                np.testing.assert_allclose(channel.values, values, rtol=1e-14)
 
 
 @pytest.mark.parametrize(
