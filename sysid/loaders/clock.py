@@ -29,8 +29,10 @@ def known_rate(rate: object) -> float:
     return float(rate)  # type: ignore[arg-type]
 
 
-def positive_rate(path: str, rate: object) -> float:
-    """Return a declared sample rate [Hz]; LogError when it is not a positive, finite number."""
+def declared_rate(path: str, rate: object) -> float | None:
+    """Return a declared sample rate [Hz], if any; LogError when it is not a positive, finite number."""
+    if rate is None:
+        return None
     try:
         return known_rate(rate)
     except ValueError:

@@ -24,12 +24,12 @@ from sysid.loaders.table import (
 from sysid.units import factor_to_si
 
 _BRACKETED = re.compile(r"^(?P<stem>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*?)\s*[)\]]$")
-# Units that headers append to a name with an underscore; the longest come first.
+# Name and unit that a header appends to it with an underscore; the longest units come first.
 _SUFFIXED = re.compile(
     r"^(?P<stem>.+?)_(?P<unit>rad_s|deg_s|m_s2|m_s|N_m|mm|cm|ms|us|ns|Nm|rpm|deg|rad|m|s|N|V|A)$"
 )
 _SUFFIX_UNITS = {"rad_s": "rad/s", "deg_s": "deg/s", "m_s": "m/s", "m_s2": "m/s^2", "N_m": "N*m"}
-# Standard gravity where an accelerometer writes "g", which is a gram elsewhere.
+# Standard gravity, which accelerometers write as "g"; elsewhere that is a gram.
 _ACCELERATION = {"g": "g_0", "G": "g_0"}
 
 _LONGEST_NAME = 160
@@ -53,31 +53,24 @@ class Column:
     guessed: bool = False
 
 
-def split_label(label: str) -> tuple[str, str | None]:
-    """Return (stem, unit) of a header label; the unit is None where the label has none."""
+def split_label(label: str) -> tuple[str, str | None, bool]:
+    """Return (stem, unit, whether it is only the end of the name) of a label; without a unit it is None."""
     text = label.strip().strip('"').strip()
-    match = _BRACKETED.match(text)
+    bracketed, suffixed = _BRACKETED.match(text), _SUFFIXED.match(text)
     unit: str | None = None
-    if match:
+    if match := bracketed or suffixed:
         text, unit = match["stem"], match["unit"]
-    elif match := _SUFFIXED.match(text):
-        text, unit = match["stem"], _SUFFIX_UNITS.get(match["unit"], match["unit"])
-    return re.sub(r"[\s_.:/]+", " ", text).strip().casefold(), unit
-
-
-def suffix_unit(label: str) -> str | None:
-    """Return the unit that a label without brackets seems to end in (``Fz_N``), or None."""
-    return None if _BRACKETED.match(label.strip().strip('"').strip()) else split_label(label)[1]
+    guessed = bracketed is None and suffixed is not None
+    if guessed and unit is not None:
+        unit = _SUFFIX_UNITS.get(unit, unit)
+    return re.sub(r"[\s_.:/]+", " ", text).strip().casefold(), unit, guessed
 
 
 def parse_header(names: Sequence[str]) -> tuple[Column, ...]:
     """Return the columns of a header line."""
     # A damaged line may be one name of a megabyte, on which patterns of names take for ever.
     shown = [shortened(name, _LONGEST_NAME) for name in names]
-    return tuple(
-        Column(index, name, *split_label(name), suffix_unit(name) is not None)
-        for index, name in enumerate(shown)
-    )
+    return tuple(Column(index, name, *split_label(name)) for index, name in enumerate(shown))
 
 
 def header_columns(source: Source) -> tuple[Column, ...]:
@@ -232,7 +225,7 @@ def _renamed(path: str, names: Sequence[str], columns: Mapping[str, object]) -> 
                 f"{path}: columns says that {new} is {stated!r}, which is neither a column nor its number "
                 f"from 1; found {listing(names)}"
             )
-        unit = split_label(names[place])[1]
+        _, unit, _ = split_label(names[place])
         out[place] = str(new) if unit is None else f"{new} ({unit})"
     return out
 

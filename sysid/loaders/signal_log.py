@@ -19,7 +19,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.clock import DECLARE_RATE, order_rows, positive_rate, rate_clock
+from sysid.loaders.clock import DECLARE_RATE, declared_rate, order_rows, rate_clock
 from sysid.loaders.columns import (
     Column,
     DeclaredUnits,
@@ -27,7 +27,6 @@ from sysid.loaders.columns import (
     listing,
     listing_note,
     split_label,
-    suffix_unit,
 )
 from sysid.loaders.load_cell import (
     MEASURED,
@@ -91,6 +90,11 @@ class Signal:
     def stated_unit(self) -> str | None:
         """Unit that the file states beside the signal or in its label."""
         return self.unit if self.unit is not None or self.numbered else split_label(self.label)[1]
+
+    @property
+    def guesses_unit(self) -> bool:
+        """Whether the unit is only the end of the label."""
+        return self.unit is None and split_label(self.label)[2]
 
     @property
     def is_time(self) -> bool:
@@ -225,12 +229,12 @@ class _Clocks:
                 )
             return clock, time
         stated = signal.rate if self.rate is None else self.rate
-        if stated is None:
+        hertz = declared_rate(self.path, stated)
+        if hertz is None:
             raise LogError(
                 f"{self.path}: dataset {name} has no clock: no dataset time beside it and no attribute rate; "
                 "declare the sample rate [Hz] with rate = ..."
             )
-        hertz = positive_rate(self.path, stated)
         if known and (signal.inherited or self.rate is not None):
             first, length = self.shared.setdefault(hertz, (name, size))
             if abs(size - length) > max(1.0, _LENGTHS * length):
@@ -261,19 +265,13 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
     A signal without a clock or a unit, and two that contradict each other, are a LogError or a UnitError.
     """
     per_revolution, named = options.pulses_per_revolution, options.datasets is not None
-    rate = None if options.rate is None else positive_rate(path, options.rate)
+    rate = declared_rate(path, options.rate)
     by_name = {signal.name: signal for signal in raw.signals}
     chosen = _choose(path, by_name, raw, options.datasets)
     check_tachometer(path, chosen, per_revolution)
     declared = DeclaredUnits(path, options.units)
     columns = {
-        name: Column(
-            index,
-            signal.label,
-            signal.stem,
-            signal.stated_unit,
-            guessed=signal.unit is None and suffix_unit(signal.label) is not None,
-        )
+        name: Column(index, signal.label, signal.stem, signal.stated_unit, signal.guesses_unit)
         for index, (name, signal) in enumerate(by_name.items())
     }
     clocks = _Clocks(

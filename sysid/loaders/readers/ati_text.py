@@ -23,7 +23,7 @@ import numpy as np
 
 from sysid.errors import LogError, UnitError
 from sysid.journal import note
-from sysid.loaders.clock import DECLARE_RATE, jitter_note, known_rate, order_rows, positive_rate, rate_clock
+from sysid.loaders.clock import DECLARE_RATE, declared_rate, jitter_note, known_rate, order_rows, rate_clock
 from sysid.loaders.columns import naming
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
@@ -209,7 +209,7 @@ def _check_time_is_first(path: str, first: FloatArray, last: FloatArray, *, unus
 
 def _parse(source: Source, options: BenchOptions) -> RawTable:
     path, time_back = source.path, options.time_back or "refuse"
-    rate = None if options.rate is None else positive_rate(path, options.rate)
+    rate = declared_rate(path, options.rate)
     loads, seconds = options.units, None
     if isinstance(loads, Mapping) and "time" in loads:
         with naming(f"{path}: time"):

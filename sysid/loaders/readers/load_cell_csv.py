@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from sysid.errors import LogError
 from sysid.journal import note
-from sysid.loaders.clock import DECLARE_RATE, jitter_note, order_rows, positive_rate, rate_clock
+from sysid.loaders.clock import DECLARE_RATE, declared_rate, jitter_note, order_rows, rate_clock
 from sysid.loaders.columns import NamedTable, listing, parse_header, unread_note
 from sysid.loaders.load_cell import (
     BESIDE,
@@ -51,7 +51,7 @@ def _recognize(source: Source) -> int:
 
 def _parse(source: Source, options: BenchOptions) -> RawTable:
     path, per_revolution = source.path, options.pulses_per_revolution
-    rate = None if options.rate is None else positive_rate(path, options.rate)
+    rate = declared_rate(path, options.rate)
     table = NamedTable(source, options)
     header, declared = table.columns, table.declared
     matches = {name: table.find(quantity.stems) for name, quantity in QUANTITIES.items()}

@@ -199,22 +199,6 @@ def _rotation(
     return euler_quaternions(chosen, np.degrees(stacked([f"R{axis}" for axis in chosen]) * factor))
 
 
-def _check_whole(path: str, section: _Section, name: str, group: Sequence[int]) -> None:
-    """Refuse a marker or a body that lacks a component, or has one twice: its name may be a neighbour's."""
-    fields = [section.fields[column].upper() for column in group]
-    wanted = {"trajectories": _PLACE, "objects": _BODY, "segments": _BODY}.get(section.title, ())
-    if section.title == "objects" and "(Quaternion)" in name:
-        wanted = (*_BODY, "RW")
-    missing = [field for field in wanted if field not in fields]
-    twice = sorted({field for field in fields if field in wanted and fields.count(field) > 1})
-    if twice or (missing and len(missing) < len(wanted)):
-        fault = f"has {', '.join(twice)} twice" if twice else f"lacks {', '.join(missing)}"
-        raise LogError(
-            f'{path}, line {section.table.line - 1}: "{name}" {fault}; export the file again with whole '
-            "markers and bodies"
-        )
-
-
 def _body_name(name: str) -> str:
     """Return the name of an object: ``Global Angle (Quaternion) drone:drone`` is drone."""
     name = name.removeprefix("Global Angle").strip().removeprefix("(Quaternion)").strip()
@@ -245,7 +229,19 @@ def _read_section(
 
     for name, group in groups.items():
         fields = {section.fields[column].upper(): column for column in group}
-        _check_whole(path, section, name, group)
+        # A name of a lost or doubled component may be a neighbour's.
+        wanted = {"trajectories": _PLACE, "objects": _BODY, "segments": _BODY}.get(section.title, ())
+        if section.title == "objects" and "(Quaternion)" in name:
+            wanted = (*_BODY, "RW")
+        there = [section.fields[column].upper() for column in group]
+        missing = [field for field in wanted if field not in there]
+        twice = sorted({field for field in there if field in wanted and there.count(field) > 1})
+        if twice or (missing and len(missing) < len(wanted)):
+            fault = f"has {', '.join(twice)} twice" if twice else f"lacks {', '.join(missing)}"
+            raise LogError(
+                f'{path}, line {section.table.line - 1}: "{name}" {fault}; export the file again with whole '
+                "markers and bodies"
+            )
         if section.title == "trajectories" and set(_PLACE) <= set(fields):
             place = [fields[axis] for axis in "XYZ"]
             position = numbers.stacked(place)
