@@ -17,16 +17,18 @@ from sysid.errors import LogError
 from sysid.journal import note
 from sysid.recording import Channel, FloatArray, Recording
 
+# Largest rate at which channels are compared [Hz].
 _LARGEST_RATE = 2000.0
-# Correlation below which, and confidence below which, an offset is not to be used without a look.
+# Least correlation and least confidence of an offset that is used without a look.
 _WEAK, _UNSURE = 0.5, 0.2
-# Channels that agree this well differ less from a rival: steps up and down by turns, half a period off, are
-# 0.1 to 0.15 behind.
+# Correlation from which a smaller confidence suffices, and that confidence: steps up and down by turns, half
+# a period off, are 0.1 to 0.15 behind.
 _CLOSE, _UNSURE_CLOSE = 0.95, 0.1
+# Fewest samples to align by.
 _FEWEST = 20
 # Width of the window over which changes are taken [s].
 _SMOOTHING = 0.04
-# Overlap that two recordings must at least have, as a share of the shorter one.
+# Least overlap of two recordings, as a share of the shorter one.
 _OVERLAP = 0.3
 
 

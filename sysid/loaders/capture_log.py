@@ -24,8 +24,8 @@ from sysid.units import factor_to_si
 EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 # Words of Motive for units.
 _LENGTHS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
-# Logs print quaternions to two decimals or more; a length further from 1 means wrong columns or a damaged
-# number.
+# Largest error of a quaternion's length: logs print two decimals or more; beyond, columns are wrong or a
+# number is damaged.
 _LENGTH_TOLERANCE = 0.02
 
 

@@ -21,7 +21,7 @@ TACHOMETER = frozenset({"tachometer", "tacho", "tach", "pulse", "pulses", "hall"
 COMMAND = frozenset({"command", "cmd", "throttle", "esc", "esc signal", "pwm"})
 # Width of the band around the middle level that noise must not cross twice, as a share of the pulse's height.
 _HYSTERESIS = 0.25
-# A step between samples beyond this many medians has lost at least one sample; jitter alone stays below.
+# Length in medians of a step that has lost at least one sample; jitter alone stays below.
 _HOLE = 2.5
 
 
@@ -31,22 +31,26 @@ class Quantity:
 
     stems: frozenset[str]
     unit: str
-    shown: str = ""
 
 
 def _axis(kind: str, letters: str, axis: str) -> frozenset[str]:
     return frozenset({f"{letter}{axis}" for letter in letters} | {f"{kind} {axis}", f"{letters[0]} {axis}"})
 
 
+def shown_unit(unit: str) -> str:
+    """Return a unit as a channel shows it."""
+    return {"N*m": "N·m", "m/s^2": "m/s²"}.get(unit, unit)
+
+
 # Thrust and torque are the z components: the axis of the motor on a six-axis cell under it.
 QUANTITIES = {
     "speed": Quantity(frozenset({"speed", "motor speed", "rotor speed", "omega", "ω", "rpm"}), "rad/s"),
     "thrust": Quantity(_axis("force", "f", "z") | {"thrust"}, "N"),
-    "torque": Quantity(_axis("torque", "mt", "z") | {"moment z", "torque"}, "N*m", "N·m"),
+    "torque": Quantity(_axis("torque", "mt", "z") | {"moment z", "torque"}, "N*m"),
     "force_x": Quantity(_axis("force", "f", "x"), "N"),
     "force_y": Quantity(_axis("force", "f", "y"), "N"),
-    "torque_x": Quantity(_axis("torque", "mt", "x") | {"moment x"}, "N*m", "N·m"),
-    "torque_y": Quantity(_axis("torque", "mt", "y") | {"moment y"}, "N*m", "N·m"),
+    "torque_x": Quantity(_axis("torque", "mt", "x") | {"moment x"}, "N*m"),
+    "torque_y": Quantity(_axis("torque", "mt", "y") | {"moment y"}, "N*m"),
     "voltage": Quantity(frozenset({"voltage", "supply voltage", "battery voltage"}), "V"),
     "current": Quantity(frozenset({"current", "supply current", "motor current"}), "A"),
 }
@@ -54,18 +58,17 @@ QUANTITIES = {
 STEMS = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER} | {
     name: quantity.stems for name, quantity in QUANTITIES.items()
 }
-# At least one of these makes a log a load-cell log.
+# Channels of which one makes a log a load-cell log.
 MEASURED = ("thrust", "torque")
 # Names that only a force sensor has.
 CELL_AXES = (QUANTITIES["thrust"].stems - {"thrust"}) | {"mz", "moment z"}
-# A second log beside the cell's may have these alone.
+# Names that a second log beside the cell's may have alone.
 BESIDE = QUANTITIES["speed"].stems | QUANTITIES["voltage"].stems | QUANTITIES["current"].stems | TACHOMETER
 
 
 def quantity_channel(name: str, time: FloatArray, values: FloatArray) -> Channel:
     """Return the channel of a quantity already in SI."""
-    quantity = QUANTITIES[name]
-    return Channel(name, quantity.shown or quantity.unit, time, values)
+    return Channel(name, shown_unit(QUANTITIES[name].unit), time, values)
 
 
 def check_tachometer(path: str, channels: Collection[str], pulses_per_revolution: object) -> None:

@@ -20,9 +20,9 @@ from sysid.journal import Finding, note
 from sysid.loaders.columns import listing
 from sysid.recording import BoolArray, FloatArray
 
-# Second singular value of a marker set as a share of its first: below, the markers lie on one line.
+# Least second singular value of a marker set that is no line, as a share of its first.
 _FLAT = 0.02
-# Residual as a share of the body's size beyond which its markers are no rigid body.
+# Largest residual of the markers of a rigid body, as a share of its size.
 _LOOSE = 0.1
 
 

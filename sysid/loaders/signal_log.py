@@ -34,6 +34,7 @@ from sysid.loaders.load_cell import (
     STEMS,
     check_tachometer,
     quantity_channel,
+    shown_unit,
     speed_channel,
 )
 from sysid.loaders.options import BenchOptions
@@ -42,14 +43,11 @@ from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
 from sysid.recording import Channel, FloatArray, Recording
 
-# Unit of a signal of another name, and unit that its channel shows. Temperatures (offset scales) and a bare
-# "g" (gram or standard gravity) are kept as recorded.
-_OTHER_UNITS = {
-    "V": "V", "A": "A", "W": "W", "N": "N", "N*m": "N·m", "Pa": "Pa", "m/s^2": "m/s²", "m/s": "m/s",
-    "rad/s": "rad/s", "rad": "rad", "m": "m", "s": "s", "Hz": "Hz", "1": "1",
-}  # fmt: skip
-# Lengths of signals on one rate that differ by this share were not recorded over one span, and a stated rate
-# that differs by this from the rate of the times is another one: no clock drifts by as much.
+# Units of signals of other names. Temperatures (offset scales) and a bare "g" (gram or standard gravity) are
+# kept as recorded.
+_OTHER_UNITS = ("V", "A", "W", "N", "N*m", "Pa", "m/s^2", "m/s", "rad/s", "rad", "m", "s", "Hz", "1")
+# Largest relative difference of the lengths of signals that one rate spans, and of a stated rate from that of
+# the times: no clock drifts by as much.
 _LENGTHS, _RATES = 0.02, 0.1
 
 
@@ -329,12 +327,12 @@ def plain_unit(stated: str | None) -> tuple[str, float]:
     # A decibel is logarithmic: no factor turns it into anything.
     if stated in ("", "g", "G") or stated.startswith("dB") or re.search("deg|°|º", stated):
         return "", 1.0
-    for expected, shown in _OTHER_UNITS.items():
+    for expected in _OTHER_UNITS:
         # A radian is a pure number to the units library: per cent, strain and counts are no angles.
         if expected == "rad" and "rad" not in stated:
             continue
         if (factor := factor_or_none(stated, expected)) is not None:
-            return shown, factor
+            return shown_unit(expected), factor
     return "", 1.0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.columns import Column, listing_note, naming
-from sysid.loaders.load_cell import quantity_channel
+from sysid.loaders.load_cell import quantity_channel, shown_unit
 from sysid.loaders.options import BenchOptions, is_positive
 from sysid.loaders.registry import family_format
 from sysid.loaders.source import Source
@@ -22,12 +22,11 @@ from sysid.units import parse_quantity
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # Channels of the loads on these axes.
 _LOADS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
-# Rows count as fast from this share of the highest speed [1]. A motor gives at most its electrical power, but
-# probes err. Thrust over power is one over the speed of the air in the disk: 1 m/s is slower than any drone's
-# propeller at its highest speeds drives it, 200 m/s is faster. It must grow with Ω² to be a propeller's.
+# Share of the highest speed from which rows count as fast [1]; largest efficiency that passes [1], above 1 as
+# probes err; least and most thrust over power [N/W], which is one over the speed of the air in the disk: 1
+# m/s is slower than any drone's propeller at its highest speeds drives it, 200 m/s is faster; least
+# correlation with Ω² of what a propeller gives, and fewest rows for it.
 _FAST, _MOST_EFFICIENT, _PER_WATT, _GROWS, _FEWEST = 0.7, 1.3, (0.005, 1.0), 0.9, 6
-# Units as a channel shows them.
-_SHOWN = {"N*m": "N·m", "m/s^2": "m/s²"}
 
 
 @dataclass
@@ -62,7 +61,7 @@ class RawTable:
                 blank.append(column.label)
                 continue
             scaled = column_values * factors[name] if factors[name] != 1.0 else column_values
-            self.channels[name] = Channel(name, _SHOWN.get(unit, unit), self.time, scaled)
+            self.channels[name] = Channel(name, shown_unit(unit), self.time, scaled)
         self.notes += listing_note("columns-without-values", "columns without a single value", blank)
 
 

@@ -15,24 +15,25 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.types import BoolArray, Direction, FloatArray
 
-# A pause in the timestamps is a stall when it is this many median intervals and this long [s]: logs of 8 to
-# 27 ms jitter by up to 20 ms, stalls last 40 to 100 ms.
+# Least length of a stall, in median intervals and in seconds [s]: logs of 8 to 27 ms jitter by up to 20 ms,
+# stalls last 40 to 100 ms.
 _STALL_INTERVALS = 3.0
 _STALL_LEAST = 0.03
-# A stall this soon after a command may have delayed the command itself, whatever the log says [s].
+# Longest time between a command and a stall that may have delayed it, whatever the log says [s].
 _REACH = 0.15
-# After a stall the response needs this long to be over [s]: several times the slowest rotor seen.
+# Time that the response needs after a stall [s]: several times the slowest rotor seen.
 _RECOVERY = 0.15
-# A sensor still rings this long after a stop [s].
+# Time for which a sensor rings after a stop [s].
 _RINGING = 0.5
-# DShot: 0 to 47 stop the motor or are no throttle, then 1000 steps per half (one direction: 2000).
+# Last DShot number that is no throttle, steps per half (one direction has twice as many), and last number.
 _DSHOT_STOP, _DSHOT_HALF, _DSHOT_LAST = 47, 1000, 2047
-# u below this is no command [1]; beyond this it commands a direction.
+# Largest |u| that is no command [1].
 AT_REST = 1e-9
-# A rotor that stands this long [s] under a command beyond this [1] may have got another one than logged.
+# Shortest stand of a rotor [s], and least |u| during it [1], that show another command than the logged one.
 _STANDING, _DRIVEN = 0.5, 0.1
-# A rotor stands below the first share of its top speed [1] and turns above the second.
+# Share of its top speed below which a rotor stands, and above which it turns [1].
 _STANDS, _TURNS = 0.02, 0.1
+# Least |u| that commands a direction [1].
 _COMMANDED = 0.02
 
 

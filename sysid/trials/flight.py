@@ -19,16 +19,16 @@ from sysid.types import BoolArray, FloatArray
 HALF_WINDOW = 0.0225
 # Share of g that counts as falling when judged on 45 ms of positions.
 _FALLING = 0.6
-# A hold shows in this long before the fall [s]. A hand moves by more than this in that time [m]; a magnet
+# Time before the fall in which a hold shows [s], and its largest movement [m]: a hand moves by more, a magnet
 # does not.
 _SEEN_HANGING, _HANDS_MOVE = 0.3, 0.004
-# A fall of this length determines g to some percent [s].
+# Least length of a fall that determines g to some percent [s].
 _LONG_FALL = 0.06
-# Tolerance on |a|/g, and the shortest flight [s] of a body in motion and of a body that hung still.
+# Tolerance on |a|/g [1], and shortest flight of a body in motion and of a body that hung still [s].
 _NEAR, _SHORTEST, _SHORTEST_FALL = 0.25, 0.05, 0.03
-# Behind a touchdown no body gets faster by this factor within this time [s]: else the fall goes on.
+# Factor by which a body gets faster within this time [s] only where its fall goes on.
 _FASTER, _SOON = 1.5, 0.1
-# Positions this far from the flight, or four standard deviations, have left it [m].
+# Least distance from the flight, beside four standard deviations, of positions that have left it [m].
 _OFF = 5e-4
 
 

@@ -19,23 +19,23 @@ Sense = Literal["to-reverse", "to-forward", "both"]
 
 # Share of the final thrust at which a reversal is done (Fig. 3 is read so).
 LEVEL = 0.9
-# Inside the dead band: |speed| (of a signed probe), else |thrust|, below this share of its final value. A
-# thrust of 5 % is a speed of 22 %.
+# Share of its final value below which the |speed| of a signed probe, else the |thrust|, is inside the dead
+# band. A thrust of 5 % is a speed of 22 %.
 DEAD_BAND = 0.05
-# A reversal this many times slower than the quickest of its repetitions is an outlier.
+# Least ratio of an outlier's time to that of the quickest repetition.
 SLOW = 1.5
-# The final value is taken over this last part of the hold; a hold shorter than this has none [s].
+# Last part of a hold, over which the final value is taken [1], and shortest hold that has one [s].
 _LAST, _LEAST_HOLD = 0.25, 0.2
-# A repetition has settled when the halves of that part agree to the first share of the value, and the
-# value is at least the second share of the largest: a battery that sags by a fifth keeps 0.64 of the thrust,
-# a rotor that has not started has none.
+# Largest difference between the halves of that part of a settled repetition, and its least value as a share
+# of the largest: a battery that sags by a fifth keeps 0.64 of the thrust, a rotor that has not started has
+# none.
 _DRIFT, _LEAST_FINAL = 0.1, 0.6
-# The outliers' measure: this percentile of the times, low so that a controller that fails four times of five
-# still has its quick repetitions there [%].
+# Percentile of the times against which outliers are measured [%]: a controller that fails four times of five
+# still has its quick repetitions there.
 _QUICK = 10.0
-# Commands this close to each other are one [1]: a receiver's pulses jitter by a microsecond either way.
+# Largest difference of commands that are one [1]: a receiver's pulses jitter by a microsecond either way.
 JITTER = 0.005
-# A neutral this short is on the way from one command to the next, and no rest [s].
+# Longest neutral that is on the way from one command to the next, and no rest [s].
 _PASSING = 0.05
 
 

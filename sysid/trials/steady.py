@@ -14,18 +14,17 @@ import numpy as np
 from sysid.trials.bench_log import AT_REST, CommandSteps, Tare, outside
 from sysid.types import FloatArray, IntArray
 
-# A point is steady this long after a command [s], and when its two halves agree to this share.
+# Time after a command from which a point counts as steady [s], and largest difference of its two halves [1].
 SETTLE = 0.4
 _DRIFT = 0.02
-# A window of a slow ramp counts as steady when its command moves by less than this, jumps included, over the
-# window and a settling time before it, and its halves agree twice as well: a rotor of 0.1 s then trails its
-# steady speed by 0.5 %.
+# Largest travel of the command, jumps included, over a window of a slow ramp and a settling time before it
+# [1], and largest difference of the window's halves [1]: a rotor of 0.1 s then trails its steady speed by 0.5
+# %.
 _RAMP_TRAVEL, _RAMP_DRIFT = 0.05, 0.01
-# A zero is read from steady points at this many different speeds (one more where both directions turn), if in
-# one direction the fastest is this many times the slowest.
+# Least number of different speeds for a zero (one more where both directions turn), and least ratio of the
+# fastest to the slowest in one direction.
 _SPEEDS, _SPAN = 3, 1.3
-# A rotor below this share of the log's top speed may still be in a dead band; so may one below the upper
-# bound of its edge, of propellers that turn fast enough for that.
+# Share of the log's top speed below which a rotor may still be in a dead band.
 _SLOW = 0.25
 
 

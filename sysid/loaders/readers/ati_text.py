@@ -35,9 +35,9 @@ from sysid.units import factor_to_si
 
 _STATES_RATE = "sampling freq"
 _HEADER_LINES = 20
-# No force/torque log is sampled this slowly [s]: its first column counts rows or is not in seconds.
+# Step of a force/torque log so slow that its first column counts rows or is not in seconds [s].
 _SLOWEST_STEP = 0.5
-# No load takes this many equal steps in a row.
+# Number of steps that no load takes steadily.
 _FEW_STEPS = 20
 _STEADY = 0.5
 # Share of the steps, zeros left out, in which a clock falls at most, through pauses, repeated stamps or a

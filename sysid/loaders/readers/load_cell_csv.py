@@ -32,7 +32,7 @@ from sysid.loaders.table import find_header
 from sysid.loaders.table_log import RawTable, table_format
 from sysid.recording import Channel
 
-# What stands above or in the header of ATI's logs, which other loaders read.
+# Words above or in the header of ATI's logs, which other loaders read.
 _OTHERS = ("rdt sequence", "sampling freq")
 
 

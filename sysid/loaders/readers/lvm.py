@@ -48,9 +48,9 @@ _KEYS = frozenset(
      "model_number", "serial_number", "operator", "description", "project"}
 )  # fmt: skip
 _BLANK = re.compile(rb"\n[ \t,]*(?=\n)")
-# Headers of a file or a segment are shorter than this.
+# Longest header of a file or a segment [lines].
 _HEADER_LINES = 100
-# A step with more and with fewer digits than these is rounded: 0.001 is exact, 0.000977 is a rounded 1/1024.
+# Digits of an exact step at most, and of a full one at least: 0.001 is exact, 0.000977 is a rounded 1/1024.
 _EXACT, _DIGITS = 2, 5
 
 

@@ -44,9 +44,9 @@ _KEYS = (
     "Capture Start Time", "Capture Start Frame", "Total Frames in Take", "Total Exported Frames",
     "Rotation Type", "Length Units", "Coordinate Space",
 )  # fmt: skip
-# The column rows come within the first dozen lines of every version seen.
+# Lines among which the column rows come; in every version seen within the first dozen.
 _HEADER_LINES = 40
-# Newer versions print times to 1 ms: half of it, and a little for the rounding of times.
+# Largest rounding of a time [s]: half of the 1 ms of newer versions, and a little.
 _TIME_ROUNDING = 0.6e-3
 
 

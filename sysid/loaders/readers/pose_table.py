@@ -51,7 +51,7 @@ _TRIPLES = {
     "velocity": ("m/s", re.compile(r"^v ?([xyz])$")),
     "angular_velocity": ("rad/s", re.compile(r"^(?:w|omega) ?([xyz])$")),
 }
-# No capture system is slower than this, so a unitless time with longer steps is not in seconds.
+# Longest step of a capture system [s]: a unitless time with longer ones is not in seconds.
 _LONGEST_STEP = 0.5
 
 

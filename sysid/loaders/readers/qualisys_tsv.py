@@ -32,12 +32,12 @@ from sysid.types import FloatArray
 
 _FIRST = "NO_OF_FRAMES"
 _HEADER_LINES = 40
-# X Y Z, three angles, residual, nine of the matrix.
+# Cells of a body (X Y Z, three angles, residual, matrix), and where its matrix begins.
 _BODY_WIDTH, _MATRIX = 16, 7
 _BODY_PARTS = ("X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{i}]" for i in range(9)))
-# Rows print the matrix to six decimals or fewer; more than this off is a wrong column or a damaged number.
+# Largest error of a matrix printed to six decimals or fewer; beyond, a column is wrong or a number damaged.
 _ORTHOGONAL = 0.02
-# Times are printed to five decimals, and by some versions to three [s].
+# Largest rounding of a time [s]: five decimals, by some versions three.
 _TIME_ROUNDING = 5.5e-4
 
 

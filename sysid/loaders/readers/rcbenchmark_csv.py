@@ -46,7 +46,7 @@ _MEASURED = ("torque", "thrust", "speed_electrical", "speed_optical")
 _SPEEDS = ("speed_optical", "speed_electrical")
 _MOST_MESSAGES = 5
 _LARGEST_DSHOT = 2047.0
-# Pulse widths of every speed controller lie within these [µs].
+# Least and largest pulse width of any speed controller [µs].
 _PULSE = (700.0, 2300.0)
 # Least step of averaged points [s]: running logs of these stands step by 8 to 50 ms, points by 0.45 to 5 s.
 _STATIC_STEP = 0.2
@@ -135,7 +135,7 @@ def _messages(table: NamedTable, column: Column) -> list[Finding]:
     """Return a note with the messages of the stand's program, each once with its line."""
     messages: dict[str, int] = {}
     for number, _, line in table.text.lines(-1, table.head.offset, table.head.line):
-        # Of most rows the message is blank: a row without a letter or a quote cannot contain one.
+        # Most messages are blank: a row without a letter or a quote cannot contain one.
         if line.startswith("#") or not any(letter.isalpha() and letter not in "eE" for letter in line):
             continue
         cells = split_line(line, table.head.delimiter)

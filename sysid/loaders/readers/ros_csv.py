@@ -25,7 +25,7 @@ from sysid.loaders.table import Numbers, find_header
 
 _ARRIVAL, _STAMP = "%time", "field header stamp"
 _SEQUENCE = "field header seq"
-# No topic of poses is faster than a megahertz [ns].
+# Shortest step of a topic of poses [ns].
 _FEWEST_NANOSECONDS = 1000.0
 _POSITION = ("position", "translation")
 _TURN = ("orientation", "rotation")

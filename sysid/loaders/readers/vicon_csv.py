@@ -43,7 +43,7 @@ _TRACKS = ("trajectories", "segments", "objects")
 _TITLES = ("trajectories", "segments", "objects", "devices", "model outputs", "joints")
 _HEADER_LINES = 5
 _BLANK_LINE = re.compile(rb"\n[,; \t]*\n")
-# No device samples this often within a frame.
+# Largest number of samples of a device within a frame.
 _MOST_SUBS = 1e6
 # The fields of which a marker or a body must have all.
 _PLACE, _BODY = ("X", "Y", "Z"), ("RX", "RY", "RZ", "TX", "TY", "TZ")

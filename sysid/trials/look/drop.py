@@ -149,7 +149,7 @@ def _report(
     axis = signed_axis(up)
     touchdown = contact_time(time, (position - flight.at(time)) @ axis, end)
     speed = -float(flight.velocity(touchdown) @ axis)
-    # Of a throw, from the top of its parabola, or from where the log begins to show it.
+    # A throw falls from the top of its parabola, or from where the log begins to show it.
     top = max(float(flight.velocity(float(time[0])) @ axis), 0.0) if not flight.held else 0.0
     fall = speed**2 / (2.0 * measured)
     if not flight.held and top == 0.0:
