@@ -1,4 +1,4 @@
-"""What follows the search of a motor fit: dead band, ladder, and what is noticed about them."""
+"""What follows the search of a motor fit: the dead band, and what is noticed about it and the logs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from sysid.motor.dead_band import (
 )
 from sysid.motor.inertia import spike_inertia
 from sysid.motor.known_values import CONSTANTS, SATURATION, untested_rows
-from sysid.motor.ladder import climb, ladder_doubt
 from sysid.motor.log_delays import MEAN_SOURCE, averaged, delay_name, log_rows
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
@@ -34,7 +33,6 @@ from sysid.types import FloatArray
 
 # The delay of a held-out log is looked for in these steps [s], this number of steps to either side.
 _DELAY_STEPS, _DELAY_REACH = (4e-3, 4e-4, 1e-4), 20
-_LADDER = "ladder"
 # Ratio of the ends of a range of equally good edges of the dead band from which a fit warns of it.
 _WIDE = 1.5
 _WHY: dict[CutReason, str] = {
@@ -114,11 +112,11 @@ def curve_sentence(fit: CurveFit) -> str:
 
 
 def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
-    """Fit the dead band, rank the final sets, climb the ladder, notice what is doubtful.
+    """Fit the dead band, rank the final sets, notice what is doubtful.
 
     The sets are ranked by the NRMSE of their final values over the fitted forward and reverse trials, starts
-    from rest included. Where the fit is cut short, before this or in one of these steps, the missing steps
-    are noticed and left to ``--resume``. Values of a direction that was not recorded are NaN.
+    from rest included. Where the fit is cut short, the dead band is left to ``--resume``. Values of a
+    direction that was not recorded are NaN.
     """
     campaign, bench, space = problem.campaign, problem.bench, problem.space
     rows = averaged(space, problem.complete(course.sets.values))
@@ -134,28 +132,11 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     nrmse = problem.only([trial.entry.name for trial in bench.fitted]).nrmse(rows)
     sets, rows, nrmse, band = _ranked(course.sets, rows, nrmse, band)
     given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
-    settings: dict[str, Any] = {}
     if cut is None:
-        best = unpack(rows[0], space.table)
-        profiles = {} if band is None else band_profiles(problem, rows[0], band)
-        settings |= {
-            "reversal_delays": reversal_delays(campaign, bench, best),
-            "command_delays": log_delays(problem, rows[0]),
-            "saturation": _about_saturation(problem, band, profiles, best, given),
-        }
-        settings[INTERVALS] = {
-            name: {
-                "interval_95": list(one.interval), "open_95": list(one.opened), "verdict": one.verdict,
-                "doubt": "the range over which the NRMSE of its trials is within 1 % of the lowest",
-            }
-            for name, one in profiles.items()
-            # Without a scale the current itself means nothing, whatever range of it serves.
-            if bench.scale_known or name != SATURATION[0]
-        }  # fmt: skip
-        cut = _judge(problem, course, best, band is not None or given, settings)
+        settings = _findings(problem, rows[0], band, given)
     else:
-        settings["saturation"] = {"fitted": False, "why": _WHY[cut]}
-        _notice_cut(cut, "the dead band was not fitted")
+        settings = {"saturation": {"fitted": False, "why": _WHY[cut]}}
+        notice("cut-short", f"{_WHY[cut]}: the dead band was not fitted; continue it with --resume")
     if not bench.scale_known:
         settings |= _scale_free(band is not None or given)
     _notice_unresolved_inductance(problem, rows[0])
@@ -192,6 +173,40 @@ def _ranked(
         per_set = ("values", "at_bound", "nrmse", "without")
         band = replace(band, **{name: getattr(band, name)[order] for name in per_set})
     return ranked, rows[order], nrmse[order], band
+
+
+def _findings(
+    problem: MotorProblem, row: FloatArray, band: SaturationFit | None, given: bool
+) -> dict[str, Any]:
+    """Return what a result states of the best set `row` (n_table,) [SI]; notice what is doubtful."""
+    campaign, bench, best = problem.campaign, problem.bench, unpack(row, problem.space.table)
+    profiles = {} if band is None else band_profiles(problem, row, band)
+    saturation = _about_saturation(problem, band, profiles, best, given)
+    drop = best["winding_resistance"] / (best["torque_constant"] * best["back_emf_constant"])
+    curve = {name: best[name] for name in PARAMETERS}
+    inertia = spike_inertia(campaign, [trial.log for trial in bench.fitted], curve)
+    if inertia.doubt is not None:
+        notice(inertia.doubt.code, inertia.doubt.sentence)
+    return {
+        "reversal_delays": reversal_delays(campaign, bench, best),
+        "command_delays": log_delays(problem, row),
+        "saturation": saturation,
+        INTERVALS: {
+            name: {
+                "interval_95": list(one.interval), "open_95": list(one.opened), "verdict": one.verdict,
+                "doubt": "the range over which the NRMSE of its trials is within 1 % of the lowest",
+            }
+            for name, one in profiles.items()
+            # Without a scale the current itself means nothing, whatever range of it serves.
+            if bench.scale_known or name != SATURATION[0]
+        },
+        "static_curves_of_best_set": [
+            tie.fit(direction, drop, best["viscous_damping"]).document()
+            for direction, tie in bench.curves.ties.items()
+            if direction in problem.ties
+        ],
+        "rotor_inertia_from_torque_spikes": inertia.document(),
+    }  # fmt: skip
 
 
 def _about_saturation(
@@ -265,48 +280,6 @@ def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
             fact["nrmse_with_own_delay"] = float(costs.min())
         out.append(fact)
     return out
-
-
-def _judge(
-    problem: MotorProblem,
-    course: Course,
-    best: Mapping[str, float],
-    banded: bool,
-    settings: dict[str, Any],
-) -> CutReason | None:
-    """Climb the ladder, check the inertia, and add to `settings`; return what cut this short."""
-    bench = problem.bench
-    drop = best["winding_resistance"] / (best["torque_constant"] * best["back_emf_constant"])
-    settings["static_curves_of_best_set"] = [
-        tie.fit(direction, drop, best["viscous_damping"]).document()
-        for direction, tie in bench.curves.ties.items()
-        if direction in problem.ties
-    ]
-    cut: CutReason | None = None
-    try:
-        rungs = climb(problem, best, banded, course.go_on)
-        below = (None, *rungs[:-1])
-        settings[_LADDER] = [rung.document(other) for rung, other in zip(rungs, below, strict=True)]
-        _notice(ladder_doubt(rungs))
-    except CutShort as error:
-        cut = error.reason
-        _notice_cut(cut)
-    curve = {name: best[name] for name in PARAMETERS}
-    inertia = spike_inertia(problem.campaign, [trial.log for trial in bench.fitted], curve)
-    settings["rotor_inertia_from_torque_spikes"] = inertia.document()
-    _notice(inertia.doubt)
-    return cut
-
-
-def _notice(doubt: Finding | None) -> None:
-    if doubt is not None:
-        notice(doubt.code, doubt.sentence, parameters=doubt.parameters)
-
-
-def _notice_cut(cut: CutReason, *missing: str) -> None:
-    """Name what a fit that was cut short has not looked at."""
-    parts = [*missing, "the ladder of simpler models was not climbed"]
-    notice("cut-short", f"{_WHY[cut]}: {'; '.join(parts)}; continue it with --resume")
 
 
 def _scale_free(banded: bool) -> dict[str, Any]:

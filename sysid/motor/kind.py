@@ -9,9 +9,9 @@ from sysid.fit.kind import Kind, Term, Words
 from sysid.motor.candidates import candidate_trials
 from sysid.motor.follow_up import begin_fit, follow_up
 from sysid.motor.known_values import motor_space, prepare_bench
-from sysid.motor.ladder import simpler
 from sysid.motor.model import PARAMETERS
 from sysid.motor.problem import MotorProblem
+from sysid.motor.simpler import simpler
 
 
 def _open(campaign: MotorCampaign, path: Path, threads: int | None) -> MotorProblem:

@@ -1,4 +1,4 @@
-"""The first-order lag of `sysid.motor.first_order_lag`, exact between commands, for a whole population."""
+"""The first-order lag of `sysid.motor.simpler`, exact between commands, for a whole population."""
 
 from math import exp, log
 

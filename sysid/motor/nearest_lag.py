@@ -1,6 +1,6 @@
 """The first-order rotor nearest to an identified motor, for simulators whose rotor is a lag per direction.
 
-The lag is `sysid.motor.first_order_lag` with T_up and T_down for T_rise and T_fall, and
+The lag is `sysid.motor.simpler` with T_up and T_down for T_rise and T_fall, and
 
     thrust = k_T Ω²,  drag torque = k_M thrust
 

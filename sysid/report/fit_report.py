@@ -67,7 +67,7 @@ from sysid.report.html import (
 )
 from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_table
 from sysid.report.plots import Panel, interactive
-from sysid.report.set_tables import adequacy_table, ladder_table, mean_sigma_table, ranked_table, trial_table
+from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
 from sysid.report.traces import trial_view
 from sysid.report.trust_tables import narrow_table, validation_table, verdict_words
 from sysid.trust import documents
@@ -473,7 +473,7 @@ class FitReport:
         "Further physics, and simpler models, judged on what the fit was made without.",
     )
     def ladder(self) -> Html:
-        """Return what each term on trial buys; else the steps of the model that the fit itself climbed."""
+        """Return what each term on trial buys."""
         if self.climbed is not None:
             what = "misfit over noise of every model on what was left out, and NRMSE of what was fitted"
             drawn = picture(figure_rungs(self.climbed), what, "What each term buys.")
@@ -483,9 +483,7 @@ class FitReport:
                 + markup_table(moves_table(self.climbed, self.trust))
                 + drawn
             )
-        sets = self.fit.parameter_sets()
-        steps = markup_table(ladder_table(sets)) if "ladder" in sets.settings else NOTHING
-        return steps + self.missing("further physics", "sysid ladder")
+        return self.missing("further physics", "sysid ladder")
 
     @titled(
         "Filter",

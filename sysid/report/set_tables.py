@@ -1,4 +1,4 @@
-"""Tables of ranked parameter sets: the sets, the layout of Table II, NRMSE per trial, the model ladder."""
+"""Tables of ranked parameter sets: the sets, the layout of Table II, NRMSE per trial."""
 
 from __future__ import annotations
 
@@ -224,26 +224,6 @@ def adequacy_table(sets: ParameterSets) -> Table:
         "1: noise alone, after what errors of known values explain; autocorrelation: of the residuals, where "
         "the noise has none",
         {len(rows) - 2},
-    )
-
-
-def ladder_table(sets: ParameterSets) -> Table:
-    """Return what each step of the model buys, from the ``ladder`` of a fit: NRMSE by group and rung."""
-    rungs = sets.settings["ladder"]
-
-    def score(rung: dict[str, Any], group: str) -> str:
-        nrmse = rung["nrmse"].get(group)
-        return " / ".join(percent(nrmse[c]) for c in sets.channels) if nrmse else NONE
-
-    return table(
-        f"{sets.name}: what each step of the model buys, NRMSE [%] of "
-        f"{' / '.join(map(channel_symbol, sets.channels))}",
-        dict.fromkeys(group for rung in rungs for group in rung["nrmse"]),
-        (
-            words("trials", lambda group: group.replace("_", " ")),
-            *(numbers(rung.get("title", rung["rung"]), partial(score, rung)) for rung in rungs),
-        ),
-        "judge by the held-out rows: a parameter is not real because a search returned it",
     )
 
 

@@ -109,10 +109,6 @@ def _motor(sets: ParameterSets, rank: int) -> bytes:
         f"{rotor.reverse_thrust_constant:.4g} N s^2/rad^2 up to {rotor.reverse_maximum_speed:.4g} rad/s; nor "
         "does it know the pause of a reversal (saturation current and speed).",
     ]
-    lag = next((r for r in sets.settings.get("ladder", ()) if r["rung"] == "lag"), None)
-    if lag is not None:
-        up, down = (lag["values"][f"{way}_time_constant"] for way in ("rise", "fall"))
-        notes.append(f"Fitted to the logs themselves, a lag has {up:.4g} s up and {down:.4g} s down.")
     plugin = MotorPlugin(
         timeConstantUp=rotor.time_constant_up,
         timeConstantDown=rotor.time_constant_down,

@@ -15,7 +15,6 @@ from sysid.report.fold import print_lines, print_table
 from sysid.report.ladder import conclusion
 from sysid.report.set_tables import (
     adequacy_table,
-    ladder_table,
     mean_sigma_table,
     ranked_table,
     trial_table,
@@ -131,5 +130,3 @@ def _print_tables(sets: ParameterSets) -> None:
         print_table(trial_table(sets))
     if "adequacy" in sets.provenance:
         print_table(adequacy_table(sets))
-    if "ladder" in sets.settings:
-        print_table(ladder_table(sets))

@@ -2,7 +2,7 @@
 
 Run ``python tests/benchmarks/whole_fit.py [lf hf motor] [--algorithm NAME] [--finish NAME] [--population N]
 [--json PATH] [--threads N]``. `lf` and `hf` are the sample campaigns; `motor` is the paper's fit of 5 runs of
-population 200 on eight 2-s trials at 10 kHz, with ladder and profile. With other programs on the machine the
+population 200 on eight 2-s trials at 10 kHz. With other programs on the machine the
 wall clock says little.
 """
 

@@ -8,8 +8,12 @@ import numpy as np
 
 from sysid.campaign import read_campaign
 from sysid.motor.known_values import motor_space, prepare_bench
+from sysid.motor.log_delays import averaged
 from sysid.motor.model import PARAMETERS, pack
 from sysid.motor.problem import MotorProblem
+from sysid.motor.simpler import simpler
+from sysid.trust.ladder import starts_near
+from sysid.trust.terms import downhill
 
 
 def edited(path: Path, *pairs: tuple[str, str], name: str = "") -> Path:
@@ -61,3 +65,19 @@ def score_values(campaign, bench, values) -> np.ndarray:
     known = {name: value for name, value in problem.space.fixed.items() if name in PARAMETERS}
     row = pack({**bench.values, **known, **values})
     return replace(problem, ties=left).score(row[None]).by_channel[0]
+
+
+def held_out(problem: MotorProblem, values) -> dict[str, np.ndarray]:
+    """Return the NRMSE (2,) on the held-out runs, in one direction, of each simpler model and of the motor.
+
+    Each is fitted to the fitted trials from around values by name [SI].
+    """
+    runs = tuple(
+        t for t in problem.bench.trials if t.entry.use == "validate" and t.entry.direction != "reversal"
+    )
+    out = {}
+    for title, model in [*simpler(problem.fitted), ("motor", problem.fitted)]:
+        point, _ = downhill(model, starts_near(model.space, values))
+        row = averaged(model.space, model.space.full(point[None]))
+        out[title] = model.of(runs).score(row).by_channel[0].mean(axis=0)
+    return out

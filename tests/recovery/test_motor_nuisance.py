@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.motor_bench import bench_of, edited, problem_of, table_of, write_table
+from fakes.motor_bench import bench_of, edited, held_out, problem_of, table_of, write_table
 from sysid.errors import CampaignError, FitError, LogError
 from sysid.fit.kind import Course
 from sysid.fit.result import ranked_sets
@@ -19,7 +19,6 @@ from sysid.journal import Journal
 from sysid.motor.dead_band import fit_saturation
 from sysid.motor.follow_up import follow_up, log_delays
 from sysid.motor.known_values import motor_space
-from sysid.motor.ladder import climb, ladder_doubt
 from sysid.motor.log_delays import averaged
 from sysid.motor.model import PARAMETERS, simulate, unpack
 from sysid.parameter_sets import NOT_ALONE
@@ -244,25 +243,14 @@ def test_without_a_scale_only_its_combinations_are_reported(tmp_path: Path, caps
 @pytest.mark.parametrize(
     ("inductance", "useful"), [(1e-5, False), pytest.param(0.0038, True, marks=pytest.mark.slow)]
 )
-def test_the_ladder_believes_l_only_where_it_pays(tmp_path: Path, inductance: float, useful: bool) -> None:
-    path = _synthesize(tmp_path / "ladder", 9, winding_inductance=inductance)
-    campaign, bench = bench_of(path)
-    climbed = climb(problem_of(campaign, bench), TRUTH, False)
-    ladder = [rung.document(below) for rung, below in zip(climbed, (None, *climbed[:-1]), strict=True)]
-    by_name = {rung["rung"]: rung for rung in ladder}
-    assert list(by_name) == ["lag", "without_inductance", "full"]
-    assert (ladder_doubt(climbed) is None) is useful
-    lag, without, full = (by_name[name]["nrmse"] for name in by_name)
-    for group in ("fitted", "held_out"):
-        # The equations pay in torque whatever L is, and a larger model never fits worse.
-        assert without[group]["stator_torque"] < 0.7 * lag[group]["stator_torque"]
-        for channel in ("stator_torque", "speed"):
-            assert full[group][channel] < 1.02 * without[group][channel] + 1e-4
-            bought = by_name["full"]["buys"][group][channel]
-            assert bought == pytest.approx(without[group][channel] - full[group][channel])
-    # One search for all: within the chance of when each one stops.
-    spent = [rung["evaluations"] for rung in ladder]
-    assert max(spent) < 4 * min(spent)
+def test_l_pays_on_held_out_runs_only_where_it_is(tmp_path: Path, inductance: float, useful: bool) -> None:
+    path = _synthesize(tmp_path / "simpler", 9, winding_inductance=inductance)
+    found = held_out(problem_of(*bench_of(path)), TRUTH)
+    lag, without, motor = (found[title] for title in ("first-order lag", "without L", "motor"))
+    # The equations pay in torque whatever L is.
+    assert without[0] < 0.7 * lag[0]
+    assert (motor.mean() < 0.95 * without.mean()) == useful
+    assert motor.mean() < 1.02 * without.mean() + 1e-4
 
 
 def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
@@ -375,4 +363,4 @@ def test_an_interrupted_fit_says_what_it_has_not_looked_at(forward: Path) -> Non
     # Torque and speed fix no R, L or I_sat alone, interrupted or not.
     assert {"winding_resistance", "winding_inductance", "saturation_current"} <= {*after.settings[NOT_ALONE]}
     (finding,) = (finding for finding in journal.findings if finding.code == "cut-short")
-    assert "the ladder of simpler models was not climbed" in finding.sentence
+    assert "the dead band was not fitted" in finding.sentence

@@ -8,7 +8,7 @@ import pytest
 
 from sysid.export.published import table_1
 from sysid.motor import batch, model
-from sysid.motor import first_order_lag as lag
+from sysid.motor import simpler as lag
 from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population
 from sysid.motor.model import PARAMETERS, pack, simulate, steady_state
 from sysid.motor.pair_thrust import thrust_history

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid.motor import first_order_lag as lag
+from sysid.motor import simpler as lag
 from sysid.motor.batch import SimulatedTrial, SimulatedTrials
 
 VALUES = {
