@@ -60,19 +60,15 @@ class ClockOffset:
         )
 
 
-def _like(channel: Channel, other: Channel) -> Channel:
-    """Return a speed as its signed square where the other channel is a load, which follows that.
+def _even(channel: Channel, other: Channel, rate: float) -> tuple[float, FloatArray]:
+    """Return the start [s] and the changes of a channel on a uniform clock, of unit size.
 
-    Rising, Ω² lags Ω, falling it leads: compared as they are, they would be milliseconds off.
+    A speed counts by its signed square where the other channel is a load, which follows that: rising, Ω² lags
+    Ω, falling it leads, so compared as they are, they would be milliseconds off.
     """
-    if channel.unit != "rad/s" or other.unit not in ("N", "N·m"):
-        return channel
-    return Channel(channel.name, channel.unit, channel.time, channel.values * np.abs(channel.values))
-
-
-def _even(channel: Channel, rate: float) -> tuple[float, FloatArray]:
-    """Return the start [s] and the changes of a channel on a uniform clock, of unit size."""
     values = channel.values if channel.values.ndim == 1 else np.linalg.norm(channel.values, axis=1)
+    if channel.unit == "rad/s" and other.unit in ("N", "N·m"):
+        values = values * np.abs(values)
     seen = np.isfinite(values)
     time = np.arange(channel.time[seen][0], channel.time[seen][-1], 1.0 / rate)
     even = np.interp(time, channel.time[seen], values[seen])
@@ -100,8 +96,8 @@ def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = T
             raise LogError(f"{path}: {channel.name} has {channel.valid.sum()} samples, too few to align by")
         rates.append(channel.rate)
     rate = min(_LARGEST_RATE, max(rates))
-    start, first = _even(_like(reference, other), rate)
-    other_start, second = _even(_like(other, reference), rate)
+    start, first = _even(reference, other, rate)
+    other_start, second = _even(other, reference, rate)
     if not first.any() or not second.any() or min(first.size, second.size) < _FEWEST:
         raise LogError(f"{path}: {reference.name} or {other.name} never changes; align by another channel")
     products = signal.correlate(first, second, mode="full", method="fft")

@@ -20,7 +20,6 @@ from sysid.loaders import detect
 from sysid.loaders.alignment import join_recordings
 from sysid.recording import Recording
 from sysid.trials import bench_log as trial_log
-from sysid.trials.common_clock import on_one_clock
 from sysid.trials.reversal import JITTER
 from sysid.trials.steady import (
     SETTLE,
@@ -76,7 +75,7 @@ def read_log(
             "correlation": clock.correlation, "confidence": clock.confidence,
             "notes": beside.provenance.sentences,
         }  # fmt: skip
-    return on_one_clock(recording, _NEEDED, _CLOCK_OF), second
+    return trial_log.on_one_clock(recording, _NEEDED, _CLOCK_OF), second
 
 
 def log_hashes(provenance: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Content of a bench log of one motor: commands, logger stalls, real samples, tare, signs.
+"""Content of a bench log of one motor: commands, logger stalls, real samples, tare, signs, one clock.
 
 Knows no motor model: it sees channels of a `Recording` and turns them into what a fit can trust. Speeds and
 torques leave here signed: positive in the forward direction, a steady torque with the sign of its speed.
@@ -7,12 +7,14 @@ torques leave here signed: positive in the forward direction, a steady torque wi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from sysid.errors import LogError
+from sysid.journal import Finding, note
+from sysid.recording import Channel, Recording
 from sysid.types import BoolArray, Direction, FloatArray
 
 # Least length of a stall, in median intervals and in seconds [s]: logs of 8 to 27 ms jitter by up to 20 ms,
@@ -35,6 +37,9 @@ _STANDING, _DRIVEN = 0.5, 0.1
 _STANDS, _TURNS = 0.02, 0.1
 # Least |u| that commands a direction [1].
 _COMMANDED = 0.02
+# Largest gap between two samples that a value is taken from [s], and in median steps of a slow sensor: a
+# rotor's speed changes little in either.
+_LONGEST, _STEPS = 0.05, 3.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,19 @@ class CommandRange:
                 f"{self.unit}; correct command.unit, or log.command_unit where the log states none"
             )
         if self.forward_half is not None:
-            return self._halves(values, where)
+            with np.errstate(invalid="ignore"):
+                outside = values[(values < 0) | (values > _DSHOT_LAST) | (values != np.rint(values))]
+                outside = outside[np.isfinite(outside)]
+                one = np.where(values > _DSHOT_STOP, (values - _DSHOT_STOP) / _DSHOT_HALF, 0.0)
+                other = (values - _DSHOT_STOP - _DSHOT_HALF) / _DSHOT_HALF
+            if outside.size:
+                raise LogError(
+                    f"{where}: {outside.size} commands are no DShot number of 0 to {_DSHOT_LAST}, for "
+                    f"example {outside[0]:g}; leave out command.forward_half and state command.minimum and "
+                    "its kin"
+                )
+            sign = 1.0 if self.forward_half == "low" else -1.0
+            return np.where(other > 0, -sign * other, sign * one) + 0.0 * values
         above = values - self.neutral
         span = np.where(above >= 0, self.maximum - self.neutral, max(self.neutral - self.minimum, 1e-300))
         u = above / span
@@ -79,20 +96,6 @@ class CommandRange:
                 f"{self.unit}, for example {outside[0]:g}; correct command.minimum and command.maximum"
             )
         return u
-
-    def _halves(self, values: FloatArray, where: str) -> FloatArray:
-        with np.errstate(invalid="ignore"):
-            outside = values[(values < 0) | (values > _DSHOT_LAST) | (values != np.rint(values))]
-            outside = outside[np.isfinite(outside)]
-            low = np.where(values > _DSHOT_STOP, (values - _DSHOT_STOP) / _DSHOT_HALF, 0.0)
-            high = (values - _DSHOT_STOP - _DSHOT_HALF) / _DSHOT_HALF
-        if outside.size:
-            raise LogError(
-                f"{where}: {outside.size} commands are no DShot number of 0 to {_DSHOT_LAST}, for example "
-                f"{outside[0]:g}; leave out command.forward_half and state command.minimum and its kin"
-            )
-        sign = 1.0 if self.forward_half == "low" else -1.0
-        return np.where(high > 0, -sign * high, sign * low) + 0.0 * values
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,3 +315,58 @@ def wrong_poles(ratio: float) -> str:
         f"electrical speed is {ratio:.4g} times the optical one throughout: the pole count in the stand's "
         f"program is wrong{guess}{probe}; the optical speed is used"
     )
+
+
+def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence[str]) -> Recording:
+    """Return a recording whose channels `names` share a clock; unchanged where they do already.
+
+    A load cell, a tachometer and a second logger sample at different times. A command holds until the next
+    one; every other quantity is linear between two samples that lie close together. Valid for sensors faster
+    than the motion.
+
+    The clock is the one of the first of `reference` that the recording has; names that it lacks are passed
+    over. Rows before the first or after the last known command are left out; notes say what was done.
+    """
+    channels = dict(recording.channels)
+    clock = next((channels[name].time for name in reference if name in channels), None)
+    if clock is None:
+        return recording
+    on_clock = {name: np.array_equal(channels[name].time, clock) for name in names if name in channels}
+    if all(on_clock.values()):
+        return recording
+    moved: dict[str, FloatArray] = {}
+    notes: list[Finding] = []
+    for name, there in on_clock.items():
+        channel = channels[name]
+        if there:
+            moved[name] = channel.values
+            continue
+        seen, values = channel.time[channel.valid], channel.values[channel.valid]
+        step = float(np.median(np.diff(seen))) if seen.size > 1 else 0.0
+        moved[name] = np.full(clock.size, np.nan)
+        if name == "command" and seen.size:
+            # The last one given; none before the first and after the last row.
+            last = np.clip(np.searchsorted(seen, clock, side="right") - 1, 0, seen.size - 1)
+            moved[name] = np.where((clock >= seen[0]) & (clock <= seen[-1] + step), values[last], np.nan)
+        elif name != "command":
+            if seen.size > 1:
+                right = np.clip(np.searchsorted(seen, clock), 1, seen.size - 1)
+                close = seen[right] - seen[right - 1] <= max(_LONGEST, _STEPS * step)
+                known = (clock >= seen[0]) & (clock <= seen[-1]) & close
+                moved[name] = np.where(known, np.interp(clock, seen, values), np.nan)
+            middle = f", {1e3 * step:.3g} ms apart (median)" if seen.size > 1 else ""
+            sentence = f"{name}: {seen.size} samples{middle}, taken linear between them"
+            notes.append(note("interpolated", sentence))
+    rows = slice(0, clock.size)
+    if not on_clock.get("command", True) and np.isfinite(moved["command"]).any():
+        commanded = np.flatnonzero(np.isfinite(moved["command"]))
+        rows = slice(int(commanded[0]), int(commanded[-1]) + 1)
+        left_out = clock.size - (rows.stop - rows.start)
+        if left_out:
+            sentence = f"rows at which the other log gives no command, left out: {left_out}"
+            notes.append(note("rows-without-command", sentence))
+    time = clock[rows]
+    for name, values in moved.items():
+        channels[name] = Channel(name, channels[name].unit, time, values[rows])
+    provenance = replace(recording.provenance, notes=(*recording.provenance.notes, *notes))
+    return Recording(recording.kind, channels, provenance)

@@ -26,11 +26,11 @@ from sysid.trials.bench_log import (
     Tare,
     command_steps,
     find_stalls,
+    on_one_clock,
     real_samples,
     rows_at_rest,
     tare,
 )
-from sysid.trials.common_clock import on_one_clock
 from sysid.trials.reversal import JITTER, LEVEL, Repetitions, find_reversals, held_commands, repetitions
 from sysid.trials.steady import steady_points, zero_of_steady
 from sysid.types import BoolArray, FloatArray

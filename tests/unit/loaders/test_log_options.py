@@ -14,7 +14,7 @@ from sysid.gear.drops import prepare_drops
 from sysid.loaders import LogFormat, formats, registry
 from sysid.motor.bench_logs import check_options, read_log
 from sysid.recording import Channel, Provenance, Recording
-from sysid.trials.common_clock import on_one_clock
+from sysid.trials.bench_log import on_one_clock
 
 MOTOR = """
 kind = "motor"
