@@ -79,11 +79,6 @@ def _even(channel: Channel, other: Channel, rate: float) -> tuple[float, FloatAr
     return float(time[0]), np.asarray(change)
 
 
-def _floor(power: FloatArray | np.float64) -> FloatArray:
-    """Return powers kept off zero, where a still stretch would divide noise by nothing."""
-    return np.asarray(np.maximum(power, 1e-6 * np.max(power)))
-
-
 def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = True) -> ClockOffset:
     """Return the offset that brings the clock of a channel onto the reference.
 
@@ -112,7 +107,9 @@ def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = T
     )
     # A lag at which the recordings hardly overlap correlates by chance.
     allowed = shared >= _OVERLAP * min(first.size, second.size)
-    scale = np.sqrt(_floor(power) * _floor(other_power))
+    # Powers stay off zero, where a still stretch would divide noise by nothing.
+    floors = 1e-6 * np.max(power), 1e-6 * np.max(other_power)
+    scale = np.sqrt(np.maximum(power, floors[0]) * np.maximum(other_power, floors[1]))
     score = np.where(allowed, (products if sign else np.abs(products)) / scale, -np.inf)
     best = int(np.argmax(score))
     lag = float(best)

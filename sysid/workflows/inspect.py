@@ -176,7 +176,9 @@ def print_log(console: Console, report: LogReport) -> None:
     print_table(table("", report.channels[:_MOST_ROWS], columns), console)
     if len(report.channels) > _MOST_ROWS:
         console.print(Text(f"  and {len(report.channels) - _MOST_ROWS} channels more (--json lists them)"))
-    for line in (*_drop_lines(report.drop), *_bench_lines(report.bench)):
+    lines = [] if report.drop is None else _drop_lines(report.drop)
+    lines += [] if report.bench is None else _bench_lines(report.bench)
+    for line in lines:
         console.print(Text(f"  {line}"))
     for sentence in report.suspicions:
         console.print(Text(f"  suspicious: {sentence}", style="bold yellow"))
@@ -185,9 +187,7 @@ def print_log(console: Console, report: LogReport) -> None:
             console.print(Text(f"  note: {note}"))
 
 
-def _drop_lines(drop: DropReport | None) -> list[str]:
-    if drop is None:
-        return []
+def _drop_lines(drop: DropReport) -> list[str]:
     begin = "in motion from the start of its flight"
     if drop.release is not None:
         begin = f"released at {drop.release:.4f} ± {drop.release_error:.4f} s"
@@ -204,9 +204,7 @@ def _drop_lines(drop: DropReport | None) -> list[str]:
     return lines
 
 
-def _bench_lines(bench: BenchReport | None) -> list[str]:
-    if bench is None:
-        return []
+def _bench_lines(bench: BenchReport) -> list[str]:
     lines = []
     if np.isfinite(bench.top_speed):
         lines.append(

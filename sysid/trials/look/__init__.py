@@ -242,18 +242,6 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
         yield Finding("axes-swapped", sentence)
 
 
-def _saturated(values: FloatArray) -> float:
-    """Return the share of samples that are stuck at a limit other than zero."""
-    low, high = float(values.min()), float(values.max())
-    if values.size < 10 * _FLAT_RUN or low == high:
-        return 0.0
-    lengths = [stop - start for limit in (low, high) if limit != 0.0 for start, stop in runs(values == limit)]
-    stuck = sum(length for length in lengths if length >= _FLAT_RUN)
-    # Half of the samples at one value is a plateau or a probe that is off, not a sensor at its limit.
-    share = stuck / values.size
-    return share if _FLAT_SHARE <= share <= 0.5 else 0.0
-
-
 def inspect_channel(channel: Channel, clock: bool = True) -> ChannelReport:
     """Return the numbers of a channel; without a clock all is NaN that a clock would tell."""
     time, valid = channel.time, channel.valid
@@ -273,20 +261,27 @@ def inspect_channel(channel: Channel, clock: bool = True) -> ChannelReport:
     elif time.size:
         longest_blank = float(time[-1] - time[0])
     discrete = channel.unit in ("us", "dshot", "rad/s") or channel.name in ("command", "log_time")
+    saturated = 0.0  # stuck at a limit other than zero
+    low, high = (float(known.min()), float(known.max())) if known.size else (float("nan"), float("nan"))
+    if not discrete and known.ndim == 1 and known.size >= 10 * _FLAT_RUN and low != high:
+        stuck = [b - a for limit in (low, high) if limit != 0.0 for a, b in runs(known == limit)]
+        saturated = sum(length for length in stuck if length >= _FLAT_RUN) / known.size
+        # Half of the samples at one value is a plateau or a probe that is off, not a sensor at its limit.
+        saturated = saturated if _FLAT_SHARE <= saturated <= 0.5 else 0.0
     report = ChannelReport(
         channel.name,
         channel.unit,
         int(time.size),
         float(1.0 - valid.mean()) if time.size else 0.0,
-        float(known.min()) if known.size else float("nan"),
-        float(known.max()) if known.size else float("nan"),
+        low,
+        high,
         channel.rate,
         0.0 if deviation <= rounding else deviation / median,
         int(np.count_nonzero(steps > _HOLE * median)) if steps.size else 0,
         float(steps.max()) if steps.size else 0.0,
         longest_blank,
         float(equal.mean()) if equal.size else 0.0,
-        0.0 if discrete or known.ndim > 1 or not known.size else _saturated(known),
+        saturated,
     )
     if clock:
         return report
