@@ -110,7 +110,39 @@ class PopulationCost:
     failed: BoolArray
 
 
-class FilteredNrmse:
+def divisor(
+    where: str, measured: FloatArray, valid: BoolArray, denominator: Denominator, weight: float
+) -> float:
+    """Return the `spread` of a channel; FitError, which names `where`, if its `weight` counts and it is 0."""
+    try:
+        scale = spread(measured, valid, denominator)
+    except FitError as error:
+        raise FitError(f"{where}: {error}") from None
+    if scale == 0.0 and weight > 0:
+        raise FitError(
+            f"{where}: constant over the window, so its NRMSE is undefined; give the channel weight 0 or "
+            "drop the trial"
+        )
+    return scale
+
+
+class WeightedNrmse:
+    """The mean of NRMSE over channels, by their weights, then over trials; numbers do not depend on threads.
+
+    `weights` (C,) count in the mean over channels; `denominators` (T, C) [channel units].
+    """
+
+    weights: FloatArray
+    denominators: FloatArray
+
+    def mean(self, by_channel: FloatArray) -> FloatArray:
+        """Return the weighted mean over channels, then over trials, of (..., T, C) NRMSE [1]."""
+        used = self.weights > 0
+        weights = self.weights[used] / self.weights[used].sum()
+        return np.mean(np.sum(by_channel[..., used] * weights, axis=-1), axis=-1)
+
+
+class FilteredNrmse(WeightedNrmse):
     """NRMSE of a population against several trials, compiled; parallel over candidates only.
 
     Simulated samples are laid out trial after trial along one axis: trial ``t`` occupies rows
@@ -182,16 +214,10 @@ class FilteredNrmse:
                 given = np.asarray(trial.valid, dtype=np.bool_)
                 mask = mask & (given[:, None] if given.ndim == 1 else given)
             for c, channel in enumerate(self.channels):
-                try:
-                    scale = spread(values[:, c], mask[:, c], self.denominator)
-                except FitError as error:
-                    raise FitError(f"trial {trial.name}, {channel.name}: {error}") from None
-                if scale == 0.0 and channel.weight > 0:
-                    raise FitError(
-                        f"trial {trial.name}, {channel.name}: constant over the window, so its NRMSE is "
-                        "undefined; give the channel weight 0 or drop the trial"
-                    )
-                self.denominators[t, c] = scale
+                where = f"trial {trial.name}, {channel.name}"
+                self.denominators[t, c] = divisor(
+                    where, values[:, c], mask[:, c], self.denominator, channel.weight
+                )
             measured.append(np.where(mask, values, 0.0))
             valid.append(mask)
         lengths = np.array([len(m) for m in measured])
@@ -262,12 +288,6 @@ class FilteredNrmse:
             self._measured, self._valid, self.denominators, self.weights, by_channel, failed,
         )  # fmt: skip
         return PopulationCost(self.mean(by_channel), by_channel, failed)
-
-    def mean(self, by_channel: FloatArray) -> FloatArray:
-        """Return the weighted mean over channels, then over trials, of (..., T, C) NRMSE."""
-        used = self.weights > 0
-        weights = self.weights[used] / self.weights[used].sum()
-        return np.mean(np.sum(by_channel[..., used] * weights, axis=-1), axis=-1)
 
     def prepared(self, samples: FloatArray) -> tuple[FloatArray, ...]:
         """Return, per trial, the signals that are compared: (P, n_window, C) [channel units]."""

@@ -58,11 +58,8 @@ def read_log(
     name = options.format or campaign.log.format or "auto"
     name = detect(log) if name == "auto" else name
     recording = load_stated(log, name, _campaign_wide(campaign, name, options), options.loader_options())
-    ratio = _electrical_share(recording)
-    if ratio is not None:
-        notice("wrong-pole-count", trial_log.wrong_poles(ratio), trial=entry.log)
     for finding in recording.provenance.notes:
-        if finding.severity == "warning" and finding.code != "pole-count":
+        if finding.severity == "warning":
             notice(finding.code, finding.sentence, trial=entry.log)
     second = None
     if entry.second_log is not None:
@@ -103,20 +100,6 @@ def _campaign_wide(campaign: MotorCampaign, name: str, options: BenchLogOptions)
     units = {**(log.units or {}), **{key: unit for key, unit in short.items() if unit is not None}}
     # A calibration states its units.
     return log.loader_options() | {"units": None if options.calibration is not None else units or None}
-
-
-def _electrical_share(recording: Recording) -> float | None:
-    """Return the constant ratio of electrical to optical speed where it is not 1; None otherwise."""
-    if not {"speed_electrical", "speed_optical"} <= set(recording.channels):
-        return None
-    electrical, optical = recording["speed_electrical"].values, recording["speed_optical"].values
-    both = (np.nan_to_num(optical) != 0) & (np.nan_to_num(electrical) != 0)
-    if np.count_nonzero(both) < 3:
-        return None
-    ratio = electrical[both] / optical[both]
-    low, middle, high = np.percentile(ratio, [25, 50, 75])
-    # One pole pair of fourteen is 7 %; probes that agree differ by well under 2 %.
-    return float(middle) if abs(middle - 1.0) > 0.02 and high - low < 0.02 * middle else None
 
 
 @dataclass(eq=False)

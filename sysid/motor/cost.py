@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from sysid.errors import FitError
-from sysid.fit.nrmse import FAILED_NRMSE, Denominator, spread
+from sysid.fit.nrmse import FAILED_NRMSE, Denominator, WeightedNrmse, divisor
 from sysid.parallel import in_threads
 from sysid.types import BoolArray, FloatArray, IntArray
 
@@ -43,7 +42,7 @@ class MotorTarget:
     taps: FloatArray
 
 
-class BenchCost:
+class BenchCost(WeightedNrmse):
     """Compiled NRMSE of a population on several trials; the same numbers on any number of threads.
 
     `weights` of torque and speed count in the mean over channels; the `denominator`, "std" or "range" of the
@@ -59,17 +58,10 @@ class BenchCost:
         self.denominators = np.full((len(targets), 2), np.nan)
         for t, target in enumerate(targets):
             for c, channel in enumerate(CHANNELS):
-                try:
-                    scale = spread(target.measured[:, c], target.valid[:, c], denominator)
-                    if scale == 0.0:
-                        raise FitError(
-                            "constant over the window, so its NRMSE is undefined; give the channel weight "
-                            "0 or drop the trial"
-                        )
-                    self.denominators[t, c] = scale
-                except FitError as error:
-                    if self.weights[c] > 0:
-                        raise FitError(f"{target.name}, {channel}: {error}") from None
+                values, seen, weight = target.measured[:, c], target.valid[:, c], weights[c]
+                if weight > 0 or seen.any():
+                    scale = divisor(f"{target.name}, {channel}", values, seen, denominator, weight)
+                    self.denominators[t, c] = scale or np.nan
         self.grid = _first([target.grid_size for target in targets])
         taps, time, valid, measured = (
             [getattr(target, name) for target in targets] for name in ("taps", "time", "valid", "measured")
@@ -84,21 +76,28 @@ class BenchCost:
             np.array([target.grid_step for target in targets]), self.denominators, self.weights,
         )  # fmt: skip
 
-    def mean(self, by_channel: FloatArray) -> FloatArray:
-        """Return the weighted mean over channels, then over trials, of (..., T, 2) NRMSE [1]."""
-        weighted = by_channel[..., self.weights > 0] @ (self.weights[self.weights > 0] / self.weights.sum())
-        return np.mean(weighted, axis=-1)
-
     def __call__(
-        self, samples: FloatArray, reached: FloatArray, sensors: FloatArray, threads: int | None = None
+        self,
+        samples: FloatArray,
+        reached: FloatArray,
+        sensors: FloatArray,
+        threads: int | None = None,
+        signals: FloatArray | None = None,
     ) -> tuple[FloatArray, BoolArray]:
-        """Return NRMSE (P, T, 2) and failure (P, T) of a population.
+        """Return NRMSE (P, T, 2) and failure (P, T) of a population; fill `signals`, see `compared`.
 
         `samples` (P, n_total, 2) are simulated stator torque [N·m] and speed [rad/s] on the trials' grids,
         end to end, `sensors` (P, 3) torque delay, torque lag, speed lag [s] of slow logs. A trial of which
         less than all is `reached` (P, T) failed and scores ``FAILED_NRMSE · (2 − reached)``.
         """
-        return self._scored(samples, reached, sensors, threads, np.empty((0, 0, 2)))
+        by_channel = np.empty((len(samples), len(self.targets), 2))
+        failed = np.zeros(by_channel.shape[:2], dtype=np.bool_)
+        in_threads(
+            _score, failed.size, threads,
+            samples, reached, sensors, *self._prepared, by_channel, failed,
+            np.empty((0, 0, 2)) if signals is None else signals,
+        )  # fmt: skip
+        return by_channel, failed
 
     def compared(
         self, samples: FloatArray, reached: FloatArray, sensors: FloatArray, threads: int | None = None
@@ -106,24 +105,8 @@ class BenchCost:
         """Return the same, and per trial the simulated signals as compared: (P, n, 2) [N·m], [rad/s]."""
         first = self._prepared[0]
         signals = np.empty((len(samples), first[-1], 2))
-        by_channel, failed = self._scored(samples, reached, sensors, threads, signals)
+        by_channel, failed = self(samples, reached, sensors, threads, signals)
         return by_channel, failed, tuple(np.split(signals, first[1:-1], axis=1))
-
-    def _scored(
-        self,
-        samples: FloatArray,
-        reached: FloatArray,
-        sensors: FloatArray,
-        threads: int | None,
-        signals: FloatArray,
-    ) -> tuple[FloatArray, BoolArray]:
-        by_channel = np.empty((len(samples), len(self.targets), 2))
-        failed = np.zeros(by_channel.shape[:2], dtype=np.bool_)
-        in_threads(
-            _score, failed.size, threads,
-            samples, reached, sensors, *self._prepared, by_channel, failed, signals,
-        )  # fmt: skip
-        return by_channel, failed
 
 
 def _first(sizes: list[int]) -> IntArray:

@@ -297,26 +297,6 @@ def standing_command(
     return None
 
 
-def wrong_poles(ratio: float) -> str:
-    """Return the sentence about an electrical speed that is `ratio` times the optical one [1]."""
-    pairs = [
-        (actual, entered)
-        for entered in range(2, 43, 2)
-        for actual in range(2, 43, 2)
-        if abs(actual / entered - ratio) < 0.005 * ratio
-    ]
-    # Most multirotor motors have 14 or 12 poles.
-    likely = min(pairs, key=lambda pair: (pair[0] not in (12, 14), sum(pair)), default=None)
-    guess = "" if likely is None else f", likely {likely[1]} entered for a motor of {likely[0]}"
-    # A propeller of two blades passes twice a turn.
-    ratio_of_marks = min(abs(ratio - 2.0), abs(ratio - 0.5)) < 0.005 * ratio
-    probe = ", or the optical probe counts the wrong number of marks" if ratio_of_marks else ""
-    return (
-        f"electrical speed is {ratio:.4g} times the optical one throughout: the pole count in the stand's "
-        f"program is wrong{guess}{probe}; the optical speed is used"
-    )
-
-
 def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence[str]) -> Recording:
     """Return a recording whose channels `names` share a clock; unchanged where they do already.
 

@@ -8,6 +8,7 @@ import pytest
 from fakes import places
 from sysid.errors import LogError
 from sysid.loaders import load
+from sysid.loaders.readers.rcbenchmark_csv import wrong_poles
 from sysid.trials.bench_log import (
     CommandRange,
     check_command_direction,
@@ -18,7 +19,6 @@ from sysid.trials.bench_log import (
     rows_at_rest,
     signed_speed,
     tare,
-    wrong_poles,
 )
 from sysid.trials.steady import sign_against_speed, sign_of_log, steady_points, zero_of_steady
 
