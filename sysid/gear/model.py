@@ -69,7 +69,7 @@ COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
 # references within 1e-4 of its deviation. The tolerance that a fit needs is stated by each surface.
 TIGHT_TOLERANCE = 1e-6
 
-# Of a single drop on a law with modes whose switches are logged: what a fit needs steps over short releases.
+# Tolerance of a single drop whose switches of modes are logged: the steps of a fit pass over short releases.
 _LOGGED_TOLERANCE = 3e-5
 
 _LONGEST_STEP = 5e-3

@@ -15,8 +15,8 @@ from sysid.trials.look import DropReport
 _BY_MARKERS, _BY_REST = np.radians(0.5), np.radians(10.0)
 # A shallower board shows no direction [rad].
 _SHALLOW = np.radians(2.0)
-# Of sqrt(I/m) over the distance of a foot; the F450 of the paper has 0.57, a rod of that length 0.58. Masses
-# off by a factor of ten are outside, and so are inertias.
+# Limits of sqrt(I/m) over the distance of a foot [1]; the F450 of the paper has 0.57, a rod of that length
+# 0.58. Masses off by a factor of ten are outside, and so are inertias.
 _GYRATION = (0.3, 1.2)
 # Mass over the cube of that distance [kg/m³]: the F450 has 200, and ten times that is a solid stone.
 _DENSITY = (30.0, 1200.0)

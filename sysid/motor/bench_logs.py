@@ -33,8 +33,8 @@ from sysid.types import FloatArray
 
 # Times [s] and values of a channel.
 Samples = tuple[FloatArray, FloatArray]
-# What a result states of a second file that was joined: name, hash, clock offset [s], and the like.
-SecondFile = dict[str, Any] | None
+# Record of a second file that was joined: name, hash, clock offset [s], and the like.
+SecondFile = dict[str, object] | None
 
 _NEEDED = ("command", "speed", "torque", "thrust", "voltage", "current")
 _CLOCK_OF = ("torque", "thrust", "speed")
@@ -42,7 +42,7 @@ _CLOCK_OF = ("torque", "thrust", "speed")
 _FAST = 10.0
 # Standard errors by which a friction must differ from none before a torque constant makes room for it.
 _SHOWN = 3.0
-# What a campaign may say of a channel's sign; "auto" leaves it to the log.
+# Signs that a campaign may state of a channel; "auto" leaves it to the log.
 STATED_SIGNS = {"+": 1, "-": -1}
 
 
@@ -89,7 +89,7 @@ def check_options(campaign: MotorCampaign, path: str | Path) -> None:
     warn_of_idle_options("log", campaign.log.loader_options(), logs)
 
 
-def _campaign_wide(campaign: MotorCampaign, name: str, options: BenchLogOptions) -> dict[str, Any]:
+def _campaign_wide(campaign: MotorCampaign, name: str, options: BenchLogOptions) -> dict[str, object]:
     """Return what `[log]` says, with its short forms of units in the words of the format."""
     log = campaign.log
     short = {"torque": log.torque_unit}

@@ -81,7 +81,7 @@ def _candidate(
     half = max(0, len(before.taps) - 1)
     step = before.grid_step
     stride = max(1, round(float(np.median(np.diff(before.time))) / step))
-    # As many steady samples in front as the filter and the longest delay look back.
+    # The filter and the longest delay look back over steady samples.
     lead = half * step + 0.5
     lasts = float(time[-1]) + max(_HELD, float(time[-1] - time[-2]))
     grid = np.arange(0.0, lead + lasts + half * step, step)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class CurveLog:
     entry: StaticLog
     table: Literal["static", "no_load"]
     points: SteadyPoints
-    provenance: dict[str, Any]
+    provenance: dict[str, object]
 
     @property
     def name(self) -> str:

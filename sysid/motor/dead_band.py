@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +64,7 @@ class SaturationFit:
     without: FloatArray
     evaluations: int
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return what a result states of the stage."""
         return {
             "fitted": True, "free": [row.name for row in self.free], "trials": list(self.trials),
@@ -168,13 +168,23 @@ def band_profiles(problem: MotorProblem, row: FloatArray, fit: SaturationFit) ->
     return out
 
 
-def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Return, per reversal inside every trial's window, the measured and the simulated time to 90 % [s].
+class ReversalDelay(TypedDict):
+    """Time from a command that reverses to 90 % of the new thrust [s], measured and by the best set."""
+
+    trial: str
+    use: str
+    command_before: float
+    command_after: float
+    measured: float
+    simulated: float
+
+
+def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, float]) -> list[ReversalDelay]:
+    """Return the time to 90 % of every reversal inside a trial's window.
 
     `best` is the best set with the delays of logs, by name [SI].
     """
-    names = ("trial", "use", "command_before", "command_after", "measured", "simulated")
-    out: list[dict[str, Any]] = []
+    out: list[ReversalDelay] = []
     for trial in bench.trials:
         log, entry = trial.log, trial.entry
         if entry.direction != "reversal" or "thrust" not in log.channels:
@@ -199,7 +209,14 @@ def reversal_delays(campaign: MotorCampaign, bench: Bench, best: Mapping[str, fl
             for samples in ((time[known], thrust[known]), (grid, run.thrust))
         )
         out += [
-            dict(zip(names, (entry.name, entry.use, a.before, a.after, a.to_level, b.to_level), strict=True))
+            ReversalDelay(
+                trial=entry.name,
+                use=entry.use,
+                command_before=a.before,
+                command_after=a.after,
+                measured=a.to_level,
+                simulated=b.to_level,
+            )
             for a, b in zip(measured, simulated, strict=True)
         ]
     return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import NotRequired, TypedDict
 
 import numpy as np
 
@@ -177,7 +177,7 @@ def _ranked(
 
 def _findings(
     problem: MotorProblem, row: FloatArray, band: SaturationFit | None, given: bool
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return what a result states of the best set `row` (n_table,) [SI]; notice what is doubtful."""
     campaign, bench, best = problem.campaign, problem.bench, unpack(row, problem.space.table)
     profiles = {} if band is None else band_profiles(problem, row, band)
@@ -215,7 +215,7 @@ def _about_saturation(
     profiles: Mapping[str, BandProfile],
     best: Mapping[str, float],
     given: bool,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return what the result states of the second stage; notice what is doubtful about it."""
     if band is None:
         why = "given by the campaign"
@@ -254,8 +254,19 @@ def _about_saturation(
     return band.document() | {"profiles": walked}
 
 
-def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
-    """Return the command delay [s] of every log: as fitted, or as a log shows it that no stage has seen.
+class LogDelay(TypedDict):
+    """Command delay of a log [s]; its own one and both NRMSE [1] where no stage has `estimated` it."""
+
+    log: str
+    delay: float
+    estimated: bool
+    own_delay: NotRequired[float]
+    nrmse: NotRequired[float]
+    nrmse_with_own_delay: NotRequired[float]
+
+
+def log_delays(problem: MotorProblem, row: FloatArray) -> list[LogDelay]:
+    """Return the command delay of every log: as fitted, or as a log shows it that no stage has seen.
 
     `problem` has all trials. A delay of the second kind is looked for on the log itself with all other
     values of the row (n_table,) fixed; the scores of that log do not use it.
@@ -263,10 +274,10 @@ def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
     bench = problem.bench
     values = unpack(row, problem.space.table)
     seen = {trial.entry.log for trial in (*bench.fitted, *bench.banded)}
-    out: list[dict[str, Any]] = []
+    out: list[LogDelay] = []
     for log in dict.fromkeys(trial.entry.log for trial in bench.trials):
         used = values.get(delay_name(log), values["command_delay"])
-        fact: dict[str, Any] = {"log": log, "delay": used, "estimated": log in seen}
+        fact: LogDelay = {"log": log, "delay": used, "estimated": log in seen}
         if log not in seen:
             alone = problem.only([trial.entry.name for trial in bench.trials if trial.entry.log == log])
             best, costs = used, np.zeros(1)
@@ -276,13 +287,13 @@ def log_delays(problem: MotorProblem, row: FloatArray) -> list[dict[str, Any]]:
                 around = np.concatenate([[used], steps]).astype(np.float64)
                 costs = alone.nrmse_with(row, command_delay=around)
                 best = float(around[np.argmin(costs)])
-            fact |= {"own_delay": best, "nrmse": float(costs[0])}
-            fact["nrmse_with_own_delay"] = float(costs.min())
+            fact["own_delay"] = best
+            fact["nrmse"], fact["nrmse_with_own_delay"] = float(costs[0]), float(costs.min())
         out.append(fact)
     return out
 
 
-def _scale_free(banded: bool) -> dict[str, Any]:
+def _scale_free(banded: bool) -> dict[str, object]:
     """Return which numbers of a motor of unknown scale stay open, and which combinations are determined."""
     alone = ["winding_resistance", "winding_inductance", *SATURATION[:1], *CONSTANTS]
     together = ["k2_over_R", "R_over_L", "electromechanical_time_constant"]
@@ -335,7 +346,7 @@ def _records(
     return tuple(out)
 
 
-def _circumstances(problem: MotorProblem) -> dict[str, Any]:
+def _circumstances(problem: MotorProblem) -> dict[str, object]:
     """Return what else a simulator must know."""
     u_of = campaign_range(problem.campaign)
     return {

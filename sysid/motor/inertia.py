@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -46,7 +45,7 @@ class SpikeInertia:
     error: dict[str, float]
     steps: dict[str, int]
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return what a result states."""
         names = ("inertia", "standard_error", "steps")
         return {

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -79,7 +79,7 @@ class CurveFit:
             names = tuple(f"{self.quantity}_{name}_{self.direction}" for name in ("quadratic", "linear"))
         return dict(zip(names, self.coefficients, strict=True))
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the fit as a result states it."""
         return {
             "quantity": self.quantity, "direction": self.direction, "coefficients": list(self.coefficients),

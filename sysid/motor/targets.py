@@ -115,16 +115,16 @@ def prepare_run(
     return PreparedTrial(entry, log, simulated, target, starts, thrust, provenance)
 
 
-def _tare(tare: Tare) -> dict[str, Any]:
+def _tare(tare: Tare) -> dict[str, object]:
     error = tare.error if np.isfinite(tare.error) else None
     return {"value": tare.value, "error": error, "rows": tare.rows, "source": tare.source}
 
 
-def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str, Any]:
+def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str, object]:
     """Return the filter of the fast logs as it goes into a result, and which logs went without."""
     fast = [log for log in logs if log.fast]
     slow = [log.name for log in logs if not log.fast]
-    design: dict[str, Any] = _lowpass(campaign, fast[0]).design() if fast else {"kind": "none"}
+    design: dict[str, object] = _lowpass(campaign, fast[0]).design() if fast else {"kind": "none"}
     if slow:
         why = "filter_off" if campaign.filter.kind == "none" else "too_slow"
         design["unfiltered"] = {"trials": slow, "why": why}

@@ -42,11 +42,13 @@ from sysid.types import FloatArray
 # A term is kept up to this probability of chance, if it gains at least this [1]. A chance that the covariance
 # of a few trials states is itself uncertain: it must be smaller.
 CHANCE, CERTAIN, LEAST_GAIN = 0.05, 1e-3, 0.01
-# Of five trials one in 32 sign changes has all gains above zero: fewer cannot show what is no chance.
+# Least number of trials or parts: of the sign changes of five one in 32 has all gains above zero, so that
+# fewer cannot tell a gain from chance.
 FEWEST = 5
 # Sign changes that are looked at, at most.
 _CHANGES = 4096
-# Where a term's walks begin, from its value in the paper's model on [unit cube]; the first cannot end worse.
+# Starts of a term's walks, counted from its value in the paper's model [unit cube]; the first cannot end
+# worse.
 _STARTS = (0.0, -0.15, 0.05, 0.3)
 # Further starts of a simpler model.
 _AROUND = 7

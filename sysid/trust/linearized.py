@@ -37,7 +37,7 @@ CHI2 = {0.68: 0.988946, 0.95: 3.841459}
 _OF_BOUNDS = 12.0
 # Within this of a bound a parameter is at it; a deviation of this share of the range's is the range's [1].
 _AT_BOUND, _UNSEEN = 0.01, 0.9
-# Of the deviance.
+# Share of a parameter's deviance 1 to which a sum of squares is minimized [1].
 _TOLERANCE = 0.02
 # Partners are named from this correlation on.
 PARTNER = 0.8
@@ -136,7 +136,7 @@ def information(jacobian: FloatArray, gradient_noise: FloatArray) -> Information
     inverse = np.linalg.pinv(hessian + 1e-12 * np.eye(n), hermitian=True)
     sandwich = inverse @ noise @ inverse
     rise = np.maximum(np.diag(sandwich), 1e-300) / np.maximum(np.diag(inverse), 1e-300)
-    # What the residuals do not see has a flat profile whatever it is divided by.
+    # A parameter that the residuals do not see has a flat profile whatever it is divided by.
     rise = np.where(seen, rise, np.median(rise[seen]) if seen.any() else 1.0)
     return Information(curvature, gradient_noise, np.asarray(covariance, dtype=np.float64), rise)
 

@@ -26,7 +26,7 @@ _AIMS = (0.5, 1.0, 1.5, 1.96, 2.5)
 # A profile ends when its deviance exceeds this, or at a bound.
 _ENOUGH = 4.6
 _MOST_POINTS = 14
-# From one point to the next, at most [unit cube]; the factor by which steps grow in a flat valley.
+# Largest step between two points [unit cube]; factor by which steps grow in a flat valley [1].
 _FARTHEST, _STRETCH = 0.15, 2.0
 # A point this much above both of its neighbours is a bump of a rough cost, not a valley's wall [deviance].
 _BUMP = 1.0

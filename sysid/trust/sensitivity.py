@@ -27,7 +27,7 @@ from sysid.types import BoolArray, FloatArray
 _TRAJECTORIES, _LEVELS = 10, 4
 # Points drawn from the bounds.
 ELSEWHERE = 8
-# Of the cube, so that a difference does not leave it.
+# Margin of the drawn points from the faces of the unit cube: a difference must not leave it.
 _INSIDE = 0.05
 # Candidates that are judged over the bounds as well, the best by their gain.
 _JUDGED = 6
@@ -170,7 +170,7 @@ def rank_candidates(
         best = {*order[:_JUDGED].tolist(), *np.argmin(widths[:, weak], axis=0).tolist()}
         order = np.array([t for t in order if t in best])
         few = others.only([others.names[t] for t in sorted(best)])
-        # Where a recording cannot be simulated it adds nothing.
+        # A recording that cannot be simulated at a drawn point adds nothing there.
         every = (_with_each(problem, other, few) for other in drawn)
         filled = [np.tile(o.half_widths, (len(best), 1)) if e is None else e
                   for o, e in zip(drawn, every, strict=True)]  # fmt: skip

@@ -17,7 +17,7 @@ from sysid.fit.trial import Trial
 from sysid.trust.documents import JudgedTrial
 from sysid.types import FloatArray
 
-# Of the NRMSE over its noise floor, mean over trials: whole windows, and up to the third touchdown.
+# Limits of the NRMSE over its noise floor, mean over trials [1]: whole windows, up to the third touchdown.
 RATIO, RATIO_EARLY = 1.5, 1.25
 # A sample this number of noise deviations away does not belong to the prediction; this number in a row are no
 # outliers.
