@@ -22,7 +22,6 @@ from sysid.landing.drone import drone
 from sysid.landing.simulate import Landing
 from sysid.loaders import load
 from sysid.parameter_sets import (
-    INTERVALS,
     ParameterSets,
     RankedSet,
     in_place_of_digits,
@@ -32,7 +31,7 @@ from sysid.recording import Recording
 from sysid.report.inspect_figures import figure_logs
 from sysid.shown import Shown
 from sysid.trials.look import LogReport, inspect_recording
-from sysid.trust.documents import with_intervals
+from sysid.trust.documents import CheckDocument, FreeParameter, TrustDocument, with_intervals
 from sysid.workflows import fit as fits
 from sysid.workflows.check import check_campaign
 from sysid.workflows.kinds import register as register
@@ -109,24 +108,25 @@ def inspect(path: str | Path, *, format: str = "auto", **options: Any) -> LogRep
 class Judgement(Shown):
     """What `check` and `trust` say: a row per parameter, sentences, warnings, and the whole `document`."""
 
-    def __init__(self, document: Mapping[str, Any]) -> None:
+    def __init__(self, document: CheckDocument | TrustDocument) -> None:
         self.document = document
 
     def __repr__(self) -> str:
-        verdicts = Counter(row["verdict"].replace("_", " ") for row in self.document["parameters"])
+        verdicts = Counter(row.verdict.replace("_", " ") for row in self.document.parameters)
         counts = ", ".join(f"{count} {word}" for word, count in verdicts.items())
         return f"<Judgement of {verdicts.total()} parameters: {counts}; warnings: {len(self.warnings)}>"
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What may be wrong, a sentence each."""
-        return tuple(self.document["warnings"])
+        return tuple(self.document.warnings)
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """What a check advises, or how far noise explains a fit."""
-        judged = self.document.get("adequacy")
-        return tuple(self.document.get("sentences", [judged["sentence"]] if judged else ()))
+        if isinstance(self.document, CheckDocument):
+            return tuple(self.document.sentences)
+        return (self.document.adequacy.sentence,) if self.document.adequacy else ()
 
     @property
     def table(self) -> pd.DataFrame:
@@ -138,12 +138,15 @@ class Judgement(Shown):
         import pandas as pd
 
         rows = [
-            {key: row[key] for key in ("symbol", "unit", "value")}
-            | ({"half_width": row["half_width"], "verdict": row["verdict"]}
-               if "interval_95" not in row else interval_columns(row))
-            for row in self.document["parameters"]
-        ]  # fmt: skip
-        names = [row["name"] for row in self.document["parameters"]]
+            {"symbol": row.symbol, "unit": row.unit, "value": row.value}
+            | (
+                interval_columns(row)
+                if isinstance(row, FreeParameter)
+                else {"half_width": row.half_width, "verdict": row.verdict}
+            )
+            for row in self.document.parameters
+        ]
+        names = [row.name for row in self.document.parameters]
         return pd.DataFrame(rows, index=pd.Index(names, name="parameter"))
 
     def remarks(self) -> tuple[str, ...]:
@@ -298,7 +301,7 @@ class Fit(Shown):
         """
         import pandas as pd
 
-        best, judged = self.sets.best, self.result.settings.get(INTERVALS, {})
+        best, judged = self.sets.best, self.result.judged
         free = [record for record in self.result.parameters if record.status == "free"]
         lost = [in_place_of_digits(self.result.settings, record.name) is not None for record in free]
         values = [nan if gone else best[record.name] for gone, record in zip(lost, free, strict=True)]

@@ -8,7 +8,7 @@ that only the writer understands (the settings of a model) is an `Open` field, s
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -89,9 +89,9 @@ def rounded(value: float, digits: int = 4) -> str:
     return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
 
 
-def interval(row: Any, level: int) -> str:
-    """Return the 68 % or 95 % interval of a parameter; an end that the data leave open is not printed."""
-    (low, high), (below, above) = map(rounded, row[f"interval_{level}"]), row[f"open_{level}"]
+def interval(ends: Iterable[float], opened: Iterable[bool]) -> str:
+    """Return an interval as text; an end that the data leave open is not printed."""
+    (low, high), (below, above) = map(rounded, ends), opened
     if below and above:
         return "open"
     return f"≤ {high}" if below else f"≥ {low}" if above else f"{low} to {high}"

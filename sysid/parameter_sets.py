@@ -12,14 +12,14 @@ import json
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from sysid import exact_json
-from sysid.documents import Document, OpenMapping, Part
+from sysid.documents import Document, OpenMapping, Part, interval
 from sysid.errors import ExportError
 from sysid.parameters import Parameter, SearchSpace
 from sysid.shown import Shown
@@ -28,6 +28,8 @@ from sysid.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     import pandas as pd
 
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Flags = Annotated[list[bool], Field(min_length=2, max_length=2)]
 # How a number got its value: the search found it between its bounds; it was measured outside the fit; it is a
 # default, a rating or a guess, see its source; it follows from the other values of the set; nothing that was
 # recorded determines it, so it is NaN.
@@ -87,6 +89,50 @@ class ParameterRecord:
         """Return the record of the same number, computed from other values."""
         kept = {key: getattr(self, key) for key in ("name", "symbol", "unit", "meaning", "group", "trial")}
         return ParameterRecord(**kept, status="derived", source=source)
+
+
+class Judged(Part):
+    """Interval and verdict of one parameter [its unit]."""
+
+    interval_95: Pair
+    # The data do not end the interval below, above: its end there is a bound of the search.
+    open_95: Flags
+    # "well" for a half-width below 0.1, "weakly" below 0.5, else "not_identifiable"; never "well" with a
+    # doubt. "not_interpretable" where the model does not explain the trials and a bound cuts the parameter or
+    # a partner.
+    verdict: str
+    # Why the interval may miss the truth.
+    doubt: str | None = None
+
+    @property
+    def low(self) -> float:
+        """Lower end, -inf where open."""
+        return -math.inf if self.open_95[0] else self.interval_95[0]
+
+    @property
+    def high(self) -> float:
+        """Upper end, inf where open."""
+        return math.inf if self.open_95[1] else self.interval_95[1]
+
+    @property
+    def lost(self) -> bool:
+        """Whether digits of the parameter mean nothing."""
+        return self.verdict.startswith("not_")
+
+    @property
+    def interval(self) -> str:
+        """The 95 % interval as text."""
+        return interval(self.interval_95, self.open_95)
+
+    @property
+    def words(self) -> str:
+        """The verdict as it reads after a parameter."""
+        words = self.verdict.replace("_", " ")
+        return words if self.lost else f"{words} identifiable"
+
+    def contains(self, value: float) -> bool:
+        """Return whether a value lies in the interval."""
+        return self.low <= value <= self.high
 
 
 class TrialUse(Part):
@@ -179,13 +225,11 @@ def _readable(stated: dict[str, Any]) -> dict[str, Any]:
     return stated
 
 
-def interval_columns(row: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return ends and verdict of one of `INTERVALS` by column; an open end is infinite, unknown is NaN."""
+def interval_columns(row: Judged | None) -> dict[str, Any]:
+    """Return ends and verdict by column; an open end is infinite, unknown is NaN."""
     if row is None:
         return {"interval_low": math.nan, "interval_high": math.nan, "verdict": ""}
-    (low, high), (below, above) = row["interval_95"], row["open_95"]
-    ends = {"interval_low": -math.inf if below else low, "interval_high": math.inf if above else high}
-    return ends | {"verdict": row["verdict"]}
+    return {"interval_low": row.low, "interval_high": row.high, "verdict": row.verdict}
 
 
 def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
@@ -287,6 +331,13 @@ class SetsContent:
         best = f", best NRMSE {100 * self.nrmse[0]:.2f} %" if count and math.isfinite(self.nrmse[0]) else ""
         sets = f"{count} set{'' if count == 1 else 's'} of {len(self.parameters)} parameters"
         return f"<{type(self).__name__} {self.name} ({self.kind}): {sets}{best}>"
+
+    @property
+    def judged(self) -> dict[str, Judged]:
+        """Interval and verdict by parameter, where they were found."""
+        keys = Judged.model_fields
+        rows = self.settings.get(INTERVALS, {}).items()
+        return {name: Judged(**{key: row[key] for key in keys if key in row}) for name, row in rows}
 
     def content(self) -> dict[str, Any]:
         """Return these fields by name."""
@@ -427,7 +478,7 @@ class ParameterSets(SetsContent, Shown):
         """
         import pandas as pd
 
-        judged = self.settings.get(INTERVALS, {})
+        judged = self.judged
         rows = [
             {key: getattr(record, key) for key in ("symbol", "unit", "status")}
             | {f"set {rank}": value for rank, value in enumerate(column, start=1)}

@@ -117,7 +117,7 @@ def validate(
 
     document = validate_fit(fit, campaign, threads=threads, say=unless(quiet or json))
     print_validation(document, fit, json)
-    return FLAGGED if document["flagged"] else 0
+    return FLAGGED if document.flagged else 0
 
 
 @command(app, "cross-validate", "sysid cross-validate fits/demo/gear-lf")
@@ -138,7 +138,7 @@ def cross_validate(
 
     document = leave_out(fit, campaign, threads=threads, dask=dask, say=unless(quiet or json))
     print_validation(document, fit, json)
-    return FLAGGED if document["flagged"] else 0
+    return FLAGGED if document.flagged else 0
 
 
 @command(app, "compare", "sysid compare fits/demo/gear-lf fits/demo/gear-hf")

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.errors import ExportError
-from sysid.parameter_sets import INTERVALS, ParameterSets, SetsMetadata, interval_columns
+from sysid.parameter_sets import ParameterSets, SetsMetadata, interval_columns
 from sysid.storage import FileKind, put, put_texts
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -35,7 +35,7 @@ def _records(sets: ParameterSets) -> dict[str, NDArray[Any]]:
     }
     # None becomes NaN.
     numbers = {key: np.array([getattr(r, key) for r in sets.parameters], np.float64) for key in _NUMBERS}
-    if judged := sets.settings.get(INTERVALS):
+    if judged := sets.judged:
         rows = [interval_columns(judged.get(name)) for name in sets.names]
         texts["verdict"] = np.array([row.pop("verdict") for row in rows], dtype=object)
         numbers |= {key: np.array([row[key] for row in rows], np.float64) for key in rows[0]}

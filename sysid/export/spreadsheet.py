@@ -17,7 +17,7 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import ExportError
-from sysid.parameter_sets import INTERVALS, ParameterSets, SetsMetadata, interval_columns
+from sysid.parameter_sets import ParameterSets, SetsMetadata, interval_columns
 
 SIGNATURE = b"row,name,symbol,unit,status,"
 # A spreadsheet takes a text that begins so for a formula; an apostrophe is doubled, to be read back.
@@ -43,12 +43,13 @@ def to_csv(sets: ParameterSets) -> bytes:
         {"row": "about", "name": key, "meaning": exact_json.dumps(value, indent=None)}
         for key, value in metadata.items()
     ]
+    judged = sets.judged
     for i, record in enumerate(records):
         row = {"row": "parameter", **{key: record[key] for key in _RECORD}}
         row |= {"mean": float(mean[i]), "sigma": float(sigma[i])}
         if record["measured_range"] is not None:
             row["measured_low"], row["measured_high"] = record["measured_range"]
-        if known := sets.settings.get(INTERVALS, {}).get(record["name"]):
+        if known := judged.get(record["name"]):
             # The cell of an open end is empty: a bound of the search is no end.
             cells = interval_columns(known).items()
             row |= {key: None if cell in (-math.inf, math.inf) else cell for key, cell in cells}

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from sysid.documents import channel_symbol, interval, label
+from sysid.documents import channel_symbol, label
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.optima import waterfall
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import INTERVALS, in_place_of_digits
+from sysid.parameter_sets import in_place_of_digits
 
 
 def run_record(result: FitResult) -> dict[str, Any]:
@@ -87,12 +87,12 @@ def summary(result: FitResult) -> str:
     lines = [
         f"{result.kind} fit {result.name}: {result.state}",
         "",
-        *([judged["sentence"], ""] if (judged := result.provenance.get("adequacy")) else []),
+        *([explained["sentence"], ""] if (explained := result.provenance.get("adequacy")) else []),
         f"NRMSE (rms error / {denominator} of the measurement), mean over channels and trials",
         "",
         f"{'rank':>4}  {'run':>3}  {'seed':>10}  {'fitted':>8}  {'validated':>9}",
     ]
-    fitted, validated = result.nrmse, result.mean_nrmse("validate")
+    fitted, validated, judged = result.nrmse, result.mean_nrmse("validate"), result.judged
     for s in range(len(fitted)):
         other = "-" if np.isnan(validated[s]) else f"{100 * validated[s]:.2f} %"
         fit = f"{100 * fitted[s]:.2f} %"
@@ -109,8 +109,8 @@ def summary(result: FitResult) -> str:
             )
             head = f"{record.symbol} [{record.unit}]"
             derived = " (derived)" if record.status == "derived" else ""
-            known = result.settings.get(INTERVALS, {}).get(record.name)
-            worth = f": 95 % {interval(known, 95)}, {known['verdict'].replace('_', ' ')}" if known else ""
+            known = judged.get(record.name)
+            worth = f": 95 % {known.interval}, {known.verdict.replace('_', ' ')}" if known else ""
             lines.append(f"{head:<22}{cells}  {record.name}{derived}{worth}")
     lines += ["", "not searched (SI)", ""]
     for i, record in enumerate(result.parameters):

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from sysid.documents import interval, rounded
+from sysid.documents import rounded
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, ROUGHLY_BY
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import INTERVALS, in_place_of_digits
+from sysid.parameter_sets import Judged, in_place_of_digits
 from sysid.parameters import common_name
 from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
 from sysid.report.table import NONE, Cell, Table, Tone, numbers, table, words
-from sysid.report.trust_tables import TONES, ends_of, partners, verdict_words
+from sysid.report.trust_tables import ends_of, judged_cell, partners_of
+from sysid.trust.documents import Judgement, TrustDocument
 from sysid.types import FloatArray
 
 _WORDS: dict[str, tuple[str, Tone]] = {
@@ -97,7 +98,7 @@ def over_noise(fit: FitResult) -> tuple[str, str]:
 
 
 def predicted_over_noise(
-    validations: Mapping[str, Mapping[str, Any]], held_out: Mapping[str, float], command: str
+    validations: Mapping[str, Judgement], held_out: Mapping[str, float], command: str
 ) -> tuple[str, str]:
     """Return how many times the noise the trials that were not fitted leave; else what to run."""
     if held_out:
@@ -106,21 +107,21 @@ def predicted_over_noise(
         what = f"prediction over noise, {len(values)} not fitted; worst {worst} {held_out[worst]:.2f} ×"
         return f"{np.mean(values):.2f} ×", what
     for name, document in validations.items():
-        if np.isfinite(document.get("ratio", np.nan)):
-            return f"{document['ratio']:.2f} ×", f"prediction over noise, {name}"
+        if np.isfinite(document.ratio):
+            return f"{document.ratio:.2f} ×", f"prediction over noise, {name}"
     return "not known", f"prediction over noise: run {command}"
 
 
-def counts(rows: Sequence[Mapping[str, Any]] | None, command: str) -> tuple[str, str]:
+def counts(rows: Collection[Judged] | None, command: str) -> tuple[str, str]:
     """Return how many parameters are well, weakly and not identifiable."""
     if rows is None:
         return "not known", f"parameters identifiable: run {command}"
-    kinds = [row["verdict"] if row["verdict"] in ("well", "weakly") else "not" for row in rows]
+    kinds = ["not" if row.lost else row.verdict for row in rows]
     parts = [f"{kinds.count(kind)} {kind}" for kind in ("well", "weakly", "not")]
     return " · ".join(parts), f"identifiable, of {len(rows)} parameters judged"
 
 
-def next_step(fit: FitResult, trust: Mapping[str, Any] | None, predicted: bool, folder: str) -> str:
+def next_step(fit: FitResult, trust: TrustDocument | None, predicted: bool, folder: str) -> str:
     """Return the one sentence of what to do next: what stands in the way first."""
     judged = fit.provenance.get("adequacy", {})
     if fit.agreement.unfinished or fit.state != "done":
@@ -133,11 +134,11 @@ def next_step(fit: FitResult, trust: Mapping[str, Any] | None, predicted: bool, 
         )
     if trust is None:
         return f"run `sysid trust {folder}` for intervals: what the data identify is not known yet."
-    lost = [row for row in trust["parameters"] if row["verdict"].startswith("not_")]
+    lost = [row.symbol for row in trust.parameters if row.lost]
     if not predicted:
         return f"run `sysid cross-validate {folder}`: how well it predicts is not known yet."
     if lost:
-        names, them = ", ".join(row["symbol"] for row in lost), "it" if len(lost) == 1 else "them"
+        names, them = ", ".join(lost), "it" if len(lost) == 1 else "them"
         return (
             f"use the sets without {names}, which the data do not identify: measure {them} apart, or plan "
             f"trials that excite {them} with `sysid check CAMPAIGN`."
@@ -150,36 +151,38 @@ def next_step(fit: FitResult, trust: Mapping[str, Any] | None, predicted: bool, 
     return f"use the sets: `sysid export {folder}` writes them for a simulator."
 
 
-def judged_rows(fit: FitResult, trust: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
-    """Return interval and verdict by parameter: of `trust`, else what the fit itself states."""
-    found = {row["name"]: row for row in (trust or {}).get("parameters", ())}
-    return {**fit.settings.get(INTERVALS, {}), **found}
-
-
-def parameter_table(fit: FitResult, trust: Mapping[str, Any] | None, truth: Mapping[str, float]) -> Table:
+def parameter_table(fit: FitResult, trust: TrustDocument | None, truth: Mapping[str, float]) -> Table:
     """Return the one table of free parameters: value, 95 % interval, verdict, partners, measured, truth."""
-    known = judged_rows(fit, trust)
+    known, found = fit.judged, trust.by_name if trust else {}
     free = [i for i, record in enumerate(fit.parameters) if record.status == "free"]
     symbols = {record.name: record.symbol for record in fit.parameters if record.symbol}
-    measured = {i: _measured(known.get(fit.parameters[i].name), fit.parameters[i]) for i in free}
+    measured = {i: ends_of(fit.parameters[i].measured_range) for i in free}
 
-    def row_of(i: int) -> Mapping[str, Any] | None:
-        return known.get(fit.parameters[i].name)
+    def row_of(i: int) -> Judged | None:
+        name = fit.parameters[i].name
+        return found.get(name) or known.get(name)
 
     def value(i: int) -> str:
         text = in_place_of_digits(fit.settings, fit.parameters[i].name)
         return text or rounded(fit.values[0, i]) + ("*" if fit.at_bound[0, i] else "")
 
+    def span(i: int) -> str:
+        row = row_of(i)
+        return row.interval if row else NONE
+
     def judged(i: int) -> Cell:
         row = row_of(i)
-        return Cell(verdict_words(row["verdict"]), TONES.get(row["verdict"], "bad")) if row else Cell(NONE)
+        return judged_cell(row) if row else Cell(NONE)
+
+    def partners(i: int) -> str:
+        row = found.get(fit.parameters[i].name)
+        return partners_of(row.partners, symbols) if row else NONE
 
     def true(i: int) -> Cell:
         name, row = fit.parameters[i].name, row_of(i)
         if name not in truth:
             return Cell(NONE)
-        (low, high), (below, above) = (row["interval_95"], row["open_95"]) if row else ((0, 0), (True, True))
-        inside = (below or low <= truth[name]) and (above or truth[name] <= high)
+        inside = row is None or row.contains(truth[name])
         return Cell(rounded(truth[name]) + ("" if inside else " outside"), "" if inside else "doubtful")
 
     marked = "* the best set ends at a bound of the search" if any("*" in value(i) for i in free) else ""
@@ -190,19 +193,15 @@ def parameter_table(fit: FitResult, trust: Mapping[str, Any] | None, truth: Mapp
             words("symbol", lambda i: fit.parameters[i].symbol or fit.parameters[i].name),
             words("name", lambda i: common_name(fit.parameters[i]).replace("_", " ")),
             numbers("value", value),
-            numbers("95 % interval", lambda i: interval(row_of(i), 95) if row_of(i) else NONE),
+            numbers("95 % interval", span),
             words("unit", lambda i: fit.parameters[i].unit or "1"),
             words("verdict", judged),
-            words("partners", lambda i: partners(row_of(i) or {}, symbols)),
+            words("partners", partners),
             numbers("measured", lambda i: measured[i]) if set(measured.values()) > {NONE} else None,
             numbers("truth", true) if truth else None,
         ),
         marked,
     )
-
-
-def _measured(row: Mapping[str, Any] | None, record: Any) -> str:
-    return ends_of((row or {}).get("measured") or record.measured_range)
 
 
 def grouped_warnings(warnings: Sequence[str], findings: Sequence[Mapping[str, Any]]) -> Html:

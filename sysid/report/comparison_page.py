@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sysid.documents import channel_symbol, interval, rounded
+from sysid.documents import channel_symbol, rounded
 from sysid.fit.result import FitResult
 from sysid.parameter_sets import ParameterSets, in_place_of_digits
 from sysid.report.answer import answer_box
@@ -31,10 +31,10 @@ from sysid.report.html import (
 )
 from sysid.report.plots import SERIES, Curve, Panel, View, interactive
 from sysid.report.table import NONE, Cell, Table, name_and_unit, numbers, table, words
-from sysid.report.trust_tables import TONES, comparison_table, cross_table, verdict_words
+from sysid.report.trust_tables import TONES, comparison_table, cross_table
+from sysid.trust.comparison import Comparison
+from sysid.trust.documents import TrustDocument
 from sysid.types import BoolArray, FloatArray
-
-Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +56,14 @@ class ComparedFit:
     """A fit that is compared: its sets under the name of the comparison, its intervals, its trials."""
 
     sets: ParameterSets
-    trust: Row | None
+    trust: TrustDocument | None
     fit: FitResult
     trials: Sequence[OverlaidTrial]
 
 
-def comparison_page(document: Row, fits: Sequence[ComparedFit]) -> str:
+def comparison_page(document: Comparison, fits: Sequence[ComparedFit]) -> str:
     """Return the page of a comparison, `document` as from `sysid.workflows.compare`."""
-    names = document["fits"]
+    names = document.fits
     table = markup_table(_parameter_table(document, fits))
     scattered = _intervals_figure(document, fits)
     drawn = NOTHING
@@ -71,9 +71,9 @@ def comparison_page(document: Row, fits: Sequence[ComparedFit]) -> str:
         alternative = f"95 % intervals of {', '.join(names)}, parameter by parameter, off the first value"
         drawn = picture(scattered, alternative, "95 % intervals; 0: the value of the first fit.")
     out = _answer(document, names)
-    if document["warnings"]:
-        count = len(document["warnings"])
-        out += unfoldable(f"{count} warning{'s' * (count > 1)}", bullets(document["warnings"], "warnings"))
+    if document.warnings:
+        count = len(document.warnings)
+        out += unfoldable(f"{count} warning{'s' * (count > 1)}", bullets(document.warnings, "warnings"))
     out += heading("Parameters") + table
     every = markup_table(comparison_table(document))
     out += unfoldable("Every difference and what the intervals allow", every, printed=False)
@@ -83,35 +83,35 @@ def comparison_page(document: Row, fits: Sequence[ComparedFit]) -> str:
     return page(f"sysid: {' and '.join(names)}", out)
 
 
-def _answer(document: Row, names: Sequence[str]) -> Html:
-    rows = document["differences"]
-    differ = [row for row in rows if row["differs"]]
-    judged = [row for row in rows if row["differs"] is not None]
+def _answer(document: Comparison, names: Sequence[str]) -> Html:
+    rows = document.differences
+    differ = [row for row in rows if row.differs]
+    judged = [row for row in rows if row.differs is not None]
     word = Cell("they differ", "bad") if differ else Cell("no difference shown", "good")
     following = "one value may serve for all fits where their intervals agree: see the table."
     if not judged:
         word = Cell("not judged", "doubtful")
         following = "run `sysid trust` on every fit: without intervals no difference is judged."
     elif differ:
-        symbols = ", ".join(dict.fromkeys(row["symbol"] for row in differ))
+        symbols = ", ".join(dict.fromkeys(row.symbol for row in differ))
         following = f"ask why {symbols} changed: another drone, surface or supply, or a model that lacks it."
     tiles = [
         (f"{len(differ)} of {len(judged)}", "differences are more than the 95 % intervals explain"),
         (str(len(rows) - len(judged)), "differences cannot be judged: an interval is open or missing"),
     ]
-    cross = np.asarray(document["cross"])
+    cross = np.asarray(document.cross)
     for j, name in enumerate(names):
         best = int(np.argmin(cross[:, j]))
         tiles.append(
             (percent_text(float(cross[best, j])), f"trials of {name}, best predicted by {names[best]}")
         )
     box = answer_box("Fits compared", word, " · ".join(names), tiles, following, NOTHING)
-    return box + unfoldable("In sentences", bullets(document["sentences"]))
+    return box + unfoldable("In sentences", bullets(document.sentences))
 
 
-def _parameter_table(document: Row, fits: Sequence[ComparedFit]) -> Table:
+def _parameter_table(document: Comparison, fits: Sequence[ComparedFit]) -> Table:
     """Return value, interval and verdict of every fit side by side, and what the intervals do not explain."""
-    known = [{row["name"]: row for row in (fit.trust or {}).get("parameters", ())} for fit in fits]
+    known = [fit.trust.by_name if fit.trust else {} for fit in fits]
     records = {
         record.name: record
         for fit in fits
@@ -126,21 +126,21 @@ def _parameter_table(document: Row, fits: Sequence[ComparedFit]) -> Table:
         lost = in_place_of_digits(sets.settings, name) is not None
         if lost or (row is None and name not in sets.names):
             return NONE
-        return rounded(row["refined"] if row else float(sets.values[0, sets.names.index(name)]))
+        return rounded(row.refined if row else float(sets.values[0, sets.names.index(name)]))
 
     def span(k: int, name: str) -> Cell:
         row = known[k].get(name)
         if row is None:
             return Cell("not free" if name not in free[k] else NONE)
-        return Cell(f"{interval(row, 95)}, {verdict_words(row['verdict'])}", TONES.get(row["verdict"], "bad"))
+        return Cell(f"{row.interval}, {row.words}", TONES.get(row.verdict, "bad"))
 
     def differs(name: str) -> Cell:
-        rows = [row for row in document["differences"] if row["parameter"] == name]
-        real = [row for row in rows if row["differs"]]
+        rows = [row for row in document.differences if row.parameter == name]
+        real = [row for row in rows if row.differs]
         if real:
-            pairs = (f"{' / '.join(row['fits'])} {100 * row['difference']:+.1f} %" for row in real)
+            pairs = (f"{' / '.join(row.fits)} {100 * row.difference:+.1f} %" for row in real)
             return Cell(f"differs: {'; '.join(pairs)}", "bad")
-        return Cell("not judged" if any(row["differs"] is None for row in rows) else "no" if rows else NONE)
+        return Cell("not judged" if any(row.differs is None for row in rows) else "no" if rows else NONE)
 
     shown: list[Any] = [
         words("symbol", lambda name: name_and_unit(records[name].symbol or name, records[name].unit)),
@@ -154,11 +154,11 @@ def _parameter_table(document: Row, fits: Sequence[ComparedFit]) -> Table:
     return table("", list(records), shown, note)
 
 
-def _intervals_figure(document: Row, fits: Sequence[ComparedFit]) -> Figure | None:
+def _intervals_figure(document: Comparison, fits: Sequence[ComparedFit]) -> Figure | None:
     """Draw every interval off the first fit's value [%]; None where fewer than two fits have intervals."""
-    known = [{row["name"]: row for row in (fit.trust or {}).get("parameters", ())} for fit in fits]
+    known = [fit.trust.by_name if fit.trust else {} for fit in fits]
     names = [
-        name for name, row in known[0].items() if row["refined"] and any(name in other for other in known[1:])
+        name for name, row in known[0].items() if row.refined and any(name in other for other in known[1:])
     ]
     if not names:
         return None
@@ -166,22 +166,22 @@ def _intervals_figure(document: Row, fits: Sequence[ComparedFit]) -> Figure | No
     # Open intervals end at the picture's edge; a parameter off by factors may not squeeze the others.
     reach = 1.0
     for r, name in enumerate(names):
-        base = known[0][name]["refined"]
+        base = known[0][name].refined
         for k, rows in enumerate(known):
             if name not in rows:
                 continue
             row, colour = rows[name], RUNS[k % len(RUNS)]
-            ends = [100 * (end / base - 1) for end in row["interval_95"]]
-            middle, y = 100 * (row["refined"] / base - 1), -r + 0.25 - 0.5 * k / max(len(fits) - 1, 1)
-            closed = not any(row["open_95"])
+            ends = [100 * (end / base - 1) for end in row.interval_95]
+            middle, y = 100 * (row.refined / base - 1), -r + 0.25 - 0.5 * k / max(len(fits) - 1, 1)
+            closed = not any(row.open_95)
             axes.plot(ends, [y, y], color=colour, linewidth=2.0, linestyle="-" if closed else ":")
             axes.plot([middle], [y], "o", color=colour, markersize=4)
             if closed:
                 reach = max(reach, min(100.0, max(map(abs, (*ends, middle)))))
     axes.axvline(0.0, color="0.6", linewidth=0.8)
     axes.set_xlim(-1.1 * reach, 1.1 * reach)
-    axes.set_yticks(-np.arange(len(names)), [as_math(known[0][name]["symbol"]) for name in names])
-    axes.set_xlabel(f"off the value of {document['fits'][0]} [%] (dotted: open)")
+    axes.set_yticks(-np.arange(len(names)), [as_math(known[0][name].symbol) for name in names])
+    axes.set_xlabel(f"off the value of {document.fits[0]} [%] (dotted: open)")
     for k, fit in enumerate(fits):
         axes.plot([], [], "o-", color=RUNS[k % len(RUNS)], label=fit.sets.name, markersize=4)
     figure.legend(fontsize=8, frameon=False, loc="outside upper center", ncols=min(len(fits), 3))

@@ -40,7 +40,7 @@ from sysid.report.drawing import (
     thinned,
     tidy,
 )
-from sysid.report.trust_tables import verdict_words
+from sysid.trust.documents import FreeParameter, TrustDocument
 from sysid.types import FloatArray
 
 # More samples than this are drawn as a line instead of dots.
@@ -317,7 +317,7 @@ def filter_gain(design: Mapping[str, Any], highest: float) -> tuple[FloatArray, 
     return frequency, 20 * np.log10(np.maximum(np.abs(lowpass.gain(frequency)), 1e-6))
 
 
-def figure_profile(row: Mapping[str, Any], values: FloatArray, deviance: FloatArray) -> Figure:
+def figure_profile(row: FreeParameter, values: FloatArray, deviance: FloatArray) -> Figure:
     """Draw the deviance (n,) [1] over values (n,) [SI] of one parameter, with its 68 % and 95 % limits."""
     figure, axes = panel(2.8)
     axes.plot(values, deviance, color=BEST, marker="o", markersize=3.5, linewidth=1.3)
@@ -328,21 +328,21 @@ def figure_profile(row: Mapping[str, Any], values: FloatArray, deviance: FloatAr
             # The curve passes behind the word.
             bbox=paper(0.5),
         )  # fmt: skip
-    axes.axvline(float(row["value"]), color=MEASURED, linewidth=0.8)
-    if row.get("scale") == "log" and np.max(values) > 3 * np.min(values) > 0:
+    axes.axvline(row.value, color=MEASURED, linewidth=0.8)
+    if row.scale == "log" and np.max(values) > 3 * np.min(values) > 0:
         axes.set_xscale("log")
     else:
         axes.xaxis.set_major_locator(MaxNLocator(4))
-    symbol = as_math(row["symbol"])
-    axes.set(ylim=(-0.2, 6.0), xlabel=axis_label(symbol, row["unit"]), ylabel="deviance [1]")
-    axes.set_title(f"{symbol}: {verdict_words(row['verdict'])}", fontsize=9.5, loc="left")
+    symbol = as_math(row.symbol)
+    axes.set(ylim=(-0.2, 6.0), xlabel=axis_label(symbol, row.unit), ylabel="deviance [1]")
+    axes.set_title(f"{symbol}: {row.words}", fontsize=9.5, loc="left")
     return figure
 
 
-def figure_correlation(document: Mapping[str, Any]) -> Figure:
+def figure_correlation(document: TrustDocument) -> Figure:
     """Draw how the estimates of the parameters go together, -1 to 1."""
-    matrix = np.array(document["correlation"], dtype=np.float64)
-    names = [as_math(row["symbol"]) for row in document["parameters"]]
+    matrix = np.array(document.correlation, dtype=np.float64)
+    names = [as_math(row.symbol) for row in document.parameters]
     figure, axes = panel(1.0 + 0.33 * len(names), grid=False)
     drawn = axes.imshow(matrix, cmap="PuOr", vmin=-1, vmax=1)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=8)

@@ -30,7 +30,6 @@ from sysid.report.answer import (
     counts,
     grouped_warnings,
     header,
-    judged_rows,
     next_step,
     over_noise,
     parameter_table,
@@ -69,8 +68,15 @@ from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_tab
 from sysid.report.plots import Panel, interactive
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
 from sysid.report.traces import trial_view
-from sysid.report.trust_tables import narrow_table, validation_table, verdict_words
+from sysid.report.trust_tables import narrow_table, validation_table
 from sysid.trust import documents
+from sysid.trust.documents import (
+    CrossValidationDocument,
+    FreeParameter,
+    LadderDocument,
+    TrustDocument,
+    ValidationDocument,
+)
 from sysid.types import FloatArray
 
 Content = TypeVar("Content", bound=Callable[..., Html])
@@ -170,34 +176,35 @@ class FitReport:
     # The content of the fit and its folder.
 
     @cached_property
-    def trust(self) -> dict[str, Any] | None:
+    def trust(self) -> TrustDocument | None:
         """Intervals and verdicts; None where they have not been computed for this fit."""
-        return documents.read_part(self.folder, documents.TRUST) if self.folder.is_dir() else None
+        return TrustDocument.read(self.folder)
 
     @cached_property
-    def climbed(self) -> dict[str, Any] | None:
+    def climbed(self) -> LadderDocument | None:
         """What terms on trial buy; None where `sysid ladder` has not been run for this fit."""
-        return documents.read_part(self.folder, documents.LADDER) if self.folder.is_dir() else None
+        return LadderDocument.read(self.folder)
 
     @cached_property
-    def validations(self) -> dict[str, dict[str, Any]]:
+    def validations(self) -> dict[str, ValidationDocument | CrossValidationDocument]:
         """Validations and the cross-validation of this fit, by name."""
-        out = {}
-        for part in documents.parts(self.folder) if self.folder.is_dir() else ():
-            cross = part == documents.CROSS_VALIDATION
-            if not cross and not part.startswith(documents.VALIDATION):
+        out: dict[str, ValidationDocument | CrossValidationDocument] = {}
+        if cross := CrossValidationDocument.read(self.folder):
+            out["leave-one-trial-out"] = cross
+        for part in documents.parts(self.folder):
+            if not part.startswith(documents.VALIDATION):
                 continue
-            if (document := documents.read_part(self.folder, part)) is not None:
-                out["leave-one-trial-out" if cross else part.removeprefix(documents.VALIDATION)] = document
+            if document := ValidationDocument.read(self.folder, part):
+                out[part.removeprefix(documents.VALIDATION)] = document
         return out
 
     @cached_property
-    def likelihood_profiles(self) -> list[tuple[dict[str, Any], FloatArray, FloatArray]]:
+    def likelihood_profiles(self) -> list[tuple[FreeParameter, FloatArray, FloatArray]]:
         """Row of the document of trust, values (n,) [SI] and deviance (n,) [1] of every profile."""
         if self.trust is None:
             return []
         arrays = documents.read_arrays(self.folder, documents.TRUST)
-        paths = ((row, f"profiles/{row['name']}") for row in self.trust["parameters"])
+        paths = ((row, f"profiles/{row.name}") for row in self.trust.parameters)
         known = ((row, path) for row, path in paths if f"{path}/value" in arrays)
         return [(row, arrays[f"{path}/value"], arrays[f"{path}/deviance"]) for row, path in known]
 
@@ -213,7 +220,7 @@ class FitReport:
 
     def warnings(self) -> list[str]:
         """Return the sentences to be read before the digits: of the fit, its intervals, other trials."""
-        trust = (self.trust or {}).get("warnings") or ()
+        trust = self.trust.warnings if self.trust else ()
         against = self.against.warnings if self.against is not None else ()
         return list(dict.fromkeys([*self.fit.warnings, *trust, *against]))
 
@@ -228,7 +235,7 @@ class FitReport:
             over_noise(self.fit),
             predicted,
             counts(
-                [*judged_rows(self.fit, self.trust).values()] if self.trust else None,
+                {**self.fit.judged, **self.trust.by_name}.values() if self.trust else None,
                 f"sysid trust {self.folder}",
             ),
         )
@@ -276,8 +283,8 @@ class FitReport:
                 where = "" if fit is self.fit else f" of {fit.name}"
                 out.append(f"It predicts {_counted(trials, 'trial')}{where} that it never saw with {mean}.")
         for name, document in self.validations.items():
-            verdict = "is doubtful" if document.get("flagged") else "shows no doubt"
-            mean = percent_text(float(document.get("nrmse", float("nan"))))
+            verdict = "is doubtful" if document.flagged else "shows no doubt"
+            mean = percent_text(document.nrmse)
             out.append(f"The validation on {name} {verdict} ({mean}).")
         return out or ["Nothing is known about trials that were not fitted: none was held back."]
 
@@ -290,9 +297,9 @@ class FitReport:
         named = {record.name: in_words(record) for record in fit.parameters}
         if self.trust is not None:
             groups: dict[str, list[str]] = {}
-            for row in self.trust["parameters"]:
-                groups.setdefault(row["verdict"], []).append(named[row["name"]])
-            parts = [f"{verdict_words(verdict)}: {', '.join(names)}" for verdict, names in groups.items()]
+            for row in self.trust.parameters:
+                groups.setdefault(row.words, []).append(named[row.name])
+            parts = [f"{verdict}: {', '.join(names)}" for verdict, names in groups.items()]
             where = "around the unfinished best set" if out else "by profile"
             return [*out, f"What the data identify, {where}: {'; '.join(parts)}."]
         opened = [named[name] for name in self.open_parameters]
@@ -427,7 +434,7 @@ class FitReport:
         """Return the profiles of the likelihood."""
         pieces = []
         for row, *curve in self.likelihood_profiles:
-            words = f"deviance over {row['name']}, all others fitted again: {verdict_words(row['verdict'])}"
+            words = f"deviance over {row.name}, all others fitted again: {row.words}"
             pieces.append(picture(figure_profile(row, *curve), words))
         out = side_by_side(pieces)
         return out if self.trust else out + self.missing("profiles of the likelihood", "sysid trust")
@@ -441,9 +448,9 @@ class FitReport:
         if self.trust is None:
             return self.missing("correlation of the estimates", "sysid trust")
         strong = [
-            f"{row['name']} with {partner['name']} ({partner['correlation']:+.2f})"
-            for row in self.trust["parameters"]
-            for partner in row.get("partners", ())
+            f"{row.name} with {partner.name} ({partner.correlation:+.2f})"
+            for row in self.trust.parameters
+            for partner in row.partners
         ]
         words = "correlation of the estimates" + (f"; strongest: {'; '.join(strong[:6])}" if strong else "")
         return picture(figure_correlation(self.trust), words, "Correlation of the estimates.")
@@ -457,7 +464,7 @@ class FitReport:
         out = NOTHING
         for name, document in self.validations.items():
             out += markup_table(validation_table(name, document))
-            out += bullets(list(document.get("reasons") or ()), "warnings")
+            out += bullets(document.reasons, "warnings")
         if self.against is not None:
             out += markup_table(trial_table(self.against.parameter_sets()))
         if not self.validations:
@@ -535,7 +542,7 @@ class FitReport:
         if self.climbed is not None:
             out["ladder"] = figure_rungs(self.climbed)
         for row, *curve in self.likelihood_profiles:
-            out[file_name(f"profile-{row['name']}")] = figure_profile(row, *curve)
+            out[file_name(f"profile-{row.name}")] = figure_profile(row, *curve)
         return out
 
     def trial_figures(self, fit: FitResult, trial: TrialResult) -> dict[str, Figure]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,47 +14,47 @@ from sysid.parameters import with_unit
 from sysid.report.drawing import panel, save_figure
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.table import Cell, Table, number, numbers, percent, table, words
+from sysid.trust.documents import LadderDocument, LadderRung, TrustDocument
 
-Row = Mapping[str, Any]
 # Least move of a parameter that is shown [1], and how many are.
 _LEAST, _MOST = 0.01, 4
 
 
-def _rows(document: Row) -> list[tuple[str, Row]]:
+def _rows(document: LadderDocument) -> list[tuple[str, LadderRung]]:
     """Return every rung with its words: simpler models, the base, each term alone, then those kept."""
-    rows = [(rung["terms"][0], rung) for rung in document["simpler"]]
-    rows.append(("as fitted", document["base"]))
-    rows += [(rung["terms"][0], rung) for rung in sorted(document["alone"], key=_misfit)]
-    kept = [rung for rung in document["together"] if rung["kept"]]
-    return rows + [(f"{'… and' if k else 'kept:'} {rung['terms'][-1]}", rung) for k, rung in enumerate(kept)]
+    rows = [(rung.terms[0], rung) for rung in document.simpler]
+    rows.append(("as fitted", document.base))
+    rows += [(rung.terms[0], rung) for rung in sorted(document.alone, key=_misfit)]
+    kept = [rung for rung in document.together if rung.kept]
+    return rows + [(f"{'… and' if k else 'kept:'} {rung.terms[-1]}", rung) for k, rung in enumerate(kept)]
 
 
-def _misfit(rung: Row) -> float:
+def _misfit(rung: LadderRung) -> float:
     """Return the mean misfit of what was left out, over noise [1]; a gain is the share that it falls."""
-    return float(np.exp(np.mean(np.log(rung["misfit"]))))
+    return float(np.exp(np.mean(np.log(rung.misfit))))
 
 
-def _gain(rung: Row) -> float:
-    return float(-np.expm1(-rung["gain"]))
+def _gain(rung: LadderRung) -> float:
+    return float(-np.expm1(-rung.gain))
 
 
-def _chance(rung: Row) -> str:
-    return "< 0.001" if rung["chance"] < 1e-3 else number(rung["chance"], 2)
+def _chance(rung: LadderRung) -> str:
+    return "< 0.001" if rung.chance < 1e-3 else number(rung.chance, 2)
 
 
-def _left_out(document: Row, count: str = "each") -> str:
+def _left_out(document: LadderDocument, count: str = "each") -> str:
     """Return what was left out in turn, as in ``each trial`` or ``9 parts of trials``."""
     several = "" if count == "each" else "s"
-    if document["parts"]:
+    if document.parts:
         return f"{count} part{several} of {'trials' if several else 'a trial'}"
     return f"{count} trial{several}"
 
 
-def _changes(document: Row, rung: Row, lost: set[str]) -> str:
+def _changes(document: LadderDocument, rung: LadderRung, lost: set[str]) -> str:
     """Return the values of the terms and how far the parameters go that are not `lost`."""
-    symbols, values, before = document["symbols"], rung["values"], document["base"]["values"]
+    symbols, values, before = document.symbols, rung.values, document.base.values
     new = [
-        f"{symbols[name]} {with_unit(rounded(value, 3), document['units'][name])}"
+        f"{symbols[name]} {with_unit(rounded(value, 3), document.units[name])}"
         for name, value in values.items()
         if name not in before
     ]
@@ -66,29 +65,29 @@ def _changes(document: Row, rung: Row, lost: set[str]) -> str:
     return ", ".join([*new, *(f"{symbols[name]} {100 * moved[name]:+.0f} %" for name in far[:_MOST])])
 
 
-def rungs_table(document: Row) -> Table:
+def rungs_table(document: LadderDocument) -> Table:
     """Return what each term buys on what was left out."""
-    base = document["base"]
+    base = document.base
 
-    def kept(row: tuple[str, Row]) -> Cell:
+    def kept(row: tuple[str, LadderRung]) -> Cell:
         rung = row[1]
         if rung is base:
             return Cell("")
-        if rung in document["simpler"]:
-            return Cell("too simple" if rung["kept"] else "as good", "" if rung["kept"] else "doubtful")
-        return Cell("yes", "good") if rung["kept"] else Cell("no")
+        if rung in document.simpler:
+            return Cell("too simple" if rung.kept else "as good", "" if rung.kept else "doubtful")
+        return Cell("yes", "good") if rung.kept else Cell("no")
 
     chances = ["of a term alone, that its gain is luck"]
     # A term that is kept because of its gain alone has the chance of that gain.
-    if document["keep"] and document["together"][-1] not in document["alone"]:
+    if document.keep and document.together[-1] not in document.alone:
         chances.append("of a kept one, that its value beside the others is none but for luck")
-    simpler = "; of a simpler model: of the fit's model over it" if document["simpler"] else ""
+    simpler = "; of a simpler model: of the fit's model over it" if document.simpler else ""
     return table(
         "What is missing in the model",
         _rows(document),
         (
             words("term", lambda row: row[0]),
-            numbers("NRMSE, fitted", lambda row: number(row[1]["over_noise"], 3)),
+            numbers("NRMSE, fitted", lambda row: number(row[1].over_noise, 3)),
             numbers("misfit, left out", lambda row: number(_misfit(row[1]), 3)),
             numbers("gain", lambda row: percent(_gain(row[1]), 1), "%"),
             numbers("chance", lambda row: _chance(row[1])),
@@ -100,15 +99,15 @@ def rungs_table(document: Row) -> Table:
     )  # fmt: skip
 
 
-def moves_table(document: Row, trust: Row | None = None) -> Table:
+def moves_table(document: LadderDocument, trust: TrustDocument | None = None) -> Table:
     """Return the values of every term, and how the parameters move with it.
 
     Parameters that `trust`, the intervals of the fit, calls not identifiable may move as they like.
     """
-    lost = {row["name"] for row in (trust or {}).get("parameters", ()) if row["verdict"].startswith("not_")}
+    lost = {row.name for row in trust.parameters if row.lost} if trust else set()
     return table(
         "Values of the terms, and how the parameters move with them",
-        [row for row in _rows(document) if row[1] is not document["base"]],
+        [row for row in _rows(document) if row[1] is not document.base],
         (
             words("term", lambda row: row[0]),
             words("values, moves", lambda row: _changes(document, row[1], lost)),
@@ -117,15 +116,15 @@ def moves_table(document: Row, trust: Row | None = None) -> Table:
     )
 
 
-def figure_rungs(document: Row) -> Figure:
+def figure_rungs(document: LadderDocument) -> Figure:
     """Draw misfit over noise of what was left out, each as the fit of the others predicts it, and NRMSE."""
     rows = _rows(document)
     figure, axes = panel(0.8 + 0.32 * len(rows))
     place = np.arange(len(rows))[::-1]
     for y, (_, rung) in zip(place, rows, strict=True):
-        axes.plot(rung["misfit"], np.full(len(rung["misfit"]), y), "|", color="0.6", markersize=8)
+        axes.plot(rung.misfit, np.full(len(rung.misfit), y), "|", color="0.6", markersize=8)
         axes.plot(_misfit(rung), y, "o", color="#0072B2")
-        axes.plot(rung["over_noise"], y, "o", color="#D55E00", fillstyle="none")
+        axes.plot(rung.over_noise, y, "o", color="#D55E00", fillstyle="none")
     axes.axvline(1.0, color="0.3", linewidth=0.8, linestyle=":")
     axes.set_yticks(place, [words for words, _ in rows])
     figure.supxlabel(
@@ -136,15 +135,15 @@ def figure_rungs(document: Row) -> Figure:
     return figure
 
 
-def conclusion(document: Row) -> list[str]:
+def conclusion(document: LadderDocument) -> list[str]:
     """Return which terms to keep, or why none, and what the model still lacks: one thought each."""
-    keep, judged = document["keep"], document["adequacy"]
-    worst = judged["misfit"]
+    keep, judged = document.keep, document.adequacy
+    worst = judged.misfit
     lacks = (
-        f"the model still lacks something: without errors of known values {judged['ratio']:.2f} × the noise "
-        f"is left, {worst['channel_ratio']:.2f} × in {worst['channel']}"
+        f"the model still lacks something: without errors of known values {judged.ratio:.2f} × the noise "
+        f"is left, {worst.channel_ratio:.2f} × in {worst.channel}"
     )
-    lacking = [] if judged["verdict"] == EXPLAINED_BY else [lacks]
+    lacking = [] if judged.verdict == EXPLAINED_BY else [lacks]
     if keep:
         return [f"keep {', '.join(keep)}", *lacking]
     if not lacking:
@@ -152,10 +151,10 @@ def conclusion(document: Row) -> list[str]:
             "noise explains the fit, and no term is both certain beside the others and of use for what was "
             "left out: keep the model"
         ]
-    nearest = document["together"][0]
+    nearest = document.together[0]
     return [
-        f"{_left_out(document, str(len(document['trials'])))} cannot show which term is missing; the nearest "
-        f"is {nearest['terms'][-1]}, with a chance of {_chance(nearest)} and a gain of "
+        f"{_left_out(document, str(len(document.trials)))} cannot show which term is missing; the nearest "
+        f"is {nearest.terms[-1]}, with a chance of {_chance(nearest)} and a gain of "
         f"{percent(_gain(nearest), 1)} %",
         *lacking,
         "fit more trials, unlike these, and climb again",
@@ -163,13 +162,17 @@ def conclusion(document: Row) -> list[str]:
 
 
 def print_rungs(
-    document: Row, trust: Row | None, lines: Sequence[str], json: bool, picture: Path | None
+    document: LadderDocument,
+    trust: TrustDocument | None,
+    lines: Sequence[str],
+    json: bool,
+    picture: Path | None,
 ) -> None:
     """Print a ladder, what to conclude, and further lines; draw it where a picture is asked for."""
-    if not print_result(document, json):
+    if not print_result(document.printed(), json):
         print_table(moves_table(document, trust))
         print_table(rungs_table(document))
         print_lines([*conclusion(document), *lines])
-        print_lines([f"{document['evaluations']} simulations in {document['seconds']:.0f} s"])
+        print_lines([f"{document.evaluations} simulations in {document.seconds:.0f} s"])
     if picture is not None:
         save_figure(figure_rungs(document), picture)

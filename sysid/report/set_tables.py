@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
-from sysid.documents import channel_symbol, interval, rounded
+from sysid.documents import channel_symbol, rounded
 from sysid.parameter_sets import (
     COMBINATIONS,
-    INTERVALS,
     NEAR_BEST,
+    Judged,
     ParameterRecord,
     ParameterSets,
     in_place_of_digits,
@@ -161,14 +160,14 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
             return NONE
         return f"{rounded(free.lower)} to {rounded(free.upper)}"
 
-    known = fits[0].settings.get(INTERVALS, {}) if len(fits) == 1 else {}
+    known = fits[0].judged if len(fits) == 1 else {}
 
-    def certain(text: Callable[[Mapping[str, Any]], str]) -> Callable[[MeanRow], str]:
+    def certain(text: Callable[[Judged], str]) -> Callable[[MeanRow], str]:
         return lambda row: text(known[row.record.name]) if row.record.name in known else NONE
 
     judged = (
-        numbers("95 % interval", certain(lambda found: interval(found, 95))),
-        words("verdict", certain(lambda found: found["verdict"].replace("_", " "))),
+        numbers("95 % interval", certain(lambda found: found.interval)),
+        words("verdict", certain(lambda found: found.verdict.replace("_", " "))),
     )
     return table(
         "measured and identified parameters (mean ± σ of the sets)",
@@ -229,7 +228,7 @@ def adequacy_table(sets: ParameterSets) -> Table:
 
 def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
     """Return what the best set of a synthetic campaign found, and its interval, beside the `truth` [SI]."""
-    intervals = sets.settings.get(INTERVALS, {})
+    intervals = sets.judged
 
     def found(i: int) -> str:
         return in_place_of_digits(sets.settings, sets.names[i]) or rounded(sets.values[0, i])
@@ -242,12 +241,11 @@ def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
     def inside(i: int) -> str | Cell:
         if sets.names[i] not in intervals:
             return NONE
-        known, value = intervals[sets.names[i]], truth[sets.names[i]]
-        (low, high), (below, above) = known["interval_95"], known["open_95"]
-        return "yes" if (below or low <= value) and (above or value <= high) else Cell("no", "doubtful")
+        inside = intervals[sets.names[i]].contains(truth[sets.names[i]])
+        return "yes" if inside else Cell("no", "doubtful")
 
     def within(i: int) -> str:
-        return interval(intervals[sets.names[i]], 95) if sets.names[i] in intervals else NONE
+        return intervals[sets.names[i]].interval if sets.names[i] in intervals else NONE
 
     return table(
         f"{sets.name}: found against true",

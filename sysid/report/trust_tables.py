@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
 from sysid.documents import channel_symbol, interval, rounded
-from sysid.parameter_sets import ParameterSets
+from sysid.parameter_sets import Judged, ParameterSets
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.set_tables import mean_sigma_table
 from sysid.report.table import (
@@ -29,28 +29,33 @@ from sysid.report.table import (
     table,
     words,
 )
-
-Row = Mapping[str, Any]
+from sysid.trust.comparison import Comparison, Difference
+from sysid.trust.documents import (
+    CheckDocument,
+    CrossValidationDocument,
+    Expected,
+    FreeParameter,
+    JudgedTrial,
+    LeftOutTrial,
+    Partner,
+    SpreadOfTrial,
+    TrustDocument,
+    ValidatedTrial,
+    ValidationDocument,
+)
 
 # Units of what excites a model; the other entries count.
 _UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "speed": "rad/s",
           "command": "of full"}  # fmt: skip
-# A channel with a smaller share of the information on a parameter is not named.
+# Least share of the information on a parameter that a named channel has [1].
 _TELLS = 0.2
 TONES: dict[str, Tone] = {"well": "good", "weakly": "doubtful"}
-_VERDICTS = {"well": "well identifiable", "weakly": "weakly identifiable"}
 _OPEN = "≤ or ≥: open, the data do not end the interval inside the bounds of the search"
 
 
-def _open_note(rows: Sequence[Row], level: int) -> list[str]:
-    """Return the note that explains ≤ and ≥ if an interval shows either."""
-    shown = any(interval(row, level).startswith(("≤", "≥")) for row in rows)
-    return [_OPEN] if shown else []
-
-
-def verdict_words(verdict: str) -> str:
-    """Return a verdict of `sysid.trust.verdicts` as it reads after a parameter."""
-    return _VERDICTS.get(verdict, verdict.replace("_", " "))
+def judged_cell(row: Judged) -> Cell:
+    """Return a verdict in its colour."""
+    return Cell(row.words, TONES.get(row.verdict, "bad"))
 
 
 def ends_of(ends: Sequence[float] | None) -> str:
@@ -58,152 +63,145 @@ def ends_of(ends: Sequence[float] | None) -> str:
     return NONE if ends is None else " to ".join(dict.fromkeys(map(rounded, ends)))
 
 
-def _name(header: str, key: str = "name") -> TableColumn:
-    return words(header, itemgetter(key))
+_PARAMETER = words("parameter", lambda row: name_and_unit(row.symbol, row.unit))
+_VERDICT = words("verdict", lambda row: Cell(row.verdict.replace("_", " "), TONES.get(row.verdict, "bad")))
+_TRIAL, _USE = words("trial", attrgetter("name")), words("use", attrgetter("use"))
 
 
-_PARAMETER = words("parameter", lambda row: name_and_unit(row["symbol"], row["unit"]))
-_VERDICT = words(
-    "verdict", lambda row: Cell(row["verdict"].replace("_", " "), TONES.get(row["verdict"], "bad"))
-)
-
-
-def partners(row: Row, symbols: Mapping[str, str]) -> str:
+def partners_of(strongest: Sequence[Partner], symbols: Mapping[str, str]) -> str:
     """Return the two parameters that one trades with most, by symbol, and the correlations."""
-    strongest = row.get("partners", ())[:2]
-    names = [symbols.get(partner["name"], partner["name"]) for partner in strongest]
-    pairs = zip(names, strongest, strict=True)
-    return ", ".join(f"{name} {partner['correlation']:+.2f}" for name, partner in pairs) or NONE
+    pairs = (f"{symbols.get(each.name, each.name)} {each.correlation:+.2f}" for each in strongest[:2])
+    return ", ".join(pairs) or NONE
 
 
-def _trades(rows: Sequence[Row]) -> TableColumn:
+def _trades(rows: Iterable[FreeParameter] | Iterable[Expected]) -> TableColumn:
     """Return the column of partners, by symbol."""
-    return words("trades with", partial(partners, symbols={row["name"]: row["symbol"] for row in rows}))
+    symbols = {row.name: row.symbol for row in rows}
+    return words("trades with", lambda row: partners_of(row.partners, symbols))
 
 
-def _lost(row: Row) -> bool:
-    """Return whether digits of a parameter mean nothing."""
-    return bool(row["verdict"].startswith("not_"))
-
-
-def interval_table(document: Row) -> Table:
+def interval_table(document: TrustDocument) -> Table:
     """Return Table II with what the data leave open: value, mean ± σ of the sets, interval, verdict."""
-    rows = document["parameters"]
-    drawn, measured = (any(row.get(key) for row in rows) for key in ("bootstrap_95", "measured"))
+    rows = document.parameters
 
-    def best(row: Row) -> str:
-        return NONE if _lost(row) else rounded(row["value"]) + ("*" if row.get("at_bound") else "")
+    def best(row: FreeParameter) -> str:
+        return NONE if row.lost else rounded(row.value) + ("*" if row.at_bound else "")
 
-    def spread(row: Row) -> tuple[float, float]:
-        return row["mean"], row["sigma"]
-
-    marked = any("*" in best(row) for row in rows)
-    at_bound = ["* the best set ends at a bound"] if marked else []
+    notes = [_OPEN] if any(row.interval.startswith(("≤", "≥")) for row in rows) else []
+    notes += ["* the best set ends at a bound"] if any("*" in best(row) for row in rows) else []
     return table(
         "what the data determine: intervals of the profile likelihood",
         rows,
         (
             _PARAMETER,
             numbers("best set", best),
-            numbers("mean ± σ of the sets", lambda row: mean_sigma(None if _lost(row) else spread(row))),
-            numbers("95 % interval", lambda row: interval(row, 95)),
-            numbers("half-width", lambda row: half_width(row["half_width"]), "%"),
+            numbers("mean ± σ of the sets", lambda r: mean_sigma(None if r.lost else (r.mean, r.sigma))),
+            numbers("95 % interval", attrgetter("interval")),
+            numbers("half-width", lambda row: half_width(row.half_width), "%"),
             _VERDICT,
             _trades(rows),
-            numbers("bootstrap 95 %", lambda row: ends_of(row["bootstrap_95"])) if drawn else None,
-            numbers("measured", lambda row: ends_of(row["measured"])) if measured else None,
+            numbers("bootstrap 95 %", lambda row: ends_of(row.bootstrap_95))
+            if any(row.bootstrap_95 for row in rows)
+            else None,
+            numbers("measured", lambda row: ends_of(row.measured))
+            if any(row.measured for row in rows)
+            else None,
         ),
-        "; ".join([*_open_note(rows, 95), *at_bound]),
+        "; ".join(notes),
     )
 
 
-def narrow_table(document: Row) -> Table:
+def narrow_table(document: TrustDocument) -> Table:
     """Return the 68 % intervals, the linearized deviation, and why an interval is doubtful."""
+
+    def narrow(row: FreeParameter) -> str:
+        return interval(row.interval_68, row.open_68)
+
     return table(
         "68 % intervals",
-        document["parameters"],
+        document.parameters,
         (
             _PARAMETER,
-            numbers("refined", lambda row: NONE if _lost(row) else number(row["refined"])),
-            numbers("68 % interval", lambda row: interval(row, 68)),
-            numbers("linearized σ", lambda row: NONE if _lost(row) else number(row["fisher_sigma"], 2)),
-            words("doubt", lambda row: row["doubt"] or NONE),
+            numbers("refined", lambda row: NONE if row.lost else number(row.refined)),
+            numbers("68 % interval", narrow),
+            numbers("linearized σ", lambda row: NONE if row.lost else number(row.fisher_sigma, 2)),
+            words("doubt", lambda row: row.doubt or NONE),
         ),
-        "".join(_open_note(document["parameters"], 68)),
+        _OPEN if any(narrow(row).startswith(("≤", "≥")) for row in document.parameters) else "",
     )
 
 
-def spread_table(document: Row) -> Table:
+def spread_table(document: TrustDocument) -> Table:
     """Return the distance of the sets' predictions from their mean per trial and channel: rms, largest."""
-    spread = document["spread"]
+    spread = document.spread
 
-    def pair(c: int, row: Row) -> str:
-        return ", ".join(number(float(row[which][c]), 2) for which in ("rms", "largest"))
+    def pair(c: int, row: SpreadOfTrial) -> str:
+        return f"{number(row.rms[c], 2)}, {number(row.largest[c], 2)}"
 
-    channels = enumerate(zip(spread["channels"], spread["units"], strict=True))
+    channels = enumerate(zip(spread.channels, spread.units, strict=True))
     return table(
         "predictions of the sets around their mean",
-        spread["trials"],
+        spread.trials,
         (
-            _name("trial"),
-            _name("use", "use"),
+            _TRIAL,
+            _USE,
             *(numbers(name, partial(pair, c), unit) for c, (name, unit) in channels),
         ),
         "rms, largest",
     )
 
 
-def noise_table(document: Row) -> Table:
+def noise_table(document: TrustDocument) -> Table:
     """Return the residuals per channel, the noise floor and the number of independent samples."""
     return table(
         "residuals, with errors of known values",
-        document["noise"]["channels"],
+        document.noise.channels,
         (
-            words("channel", lambda row: channel_symbol(row["name"])),
-            _name("unit", "unit"),
-            numbers("rms residual", lambda row: number(row["residual"], 3)),
-            numbers("noise floor", lambda row: number(row["floor"], 3)),
-            numbers("ratio", lambda row: number(row["residual"] / (row["floor"] or math.nan), 3)),
-            numbers("samples", lambda row: str(row["samples"])),
-            numbers("independent", lambda row: f"{row['independent_samples']:.0f}"),
+            words("channel", lambda row: channel_symbol(row.name)),
+            words("unit", attrgetter("unit")),
+            numbers("rms residual", lambda row: number(row.residual, 3)),
+            numbers("noise floor", lambda row: number(row.floor, 3)),
+            numbers("ratio", lambda row: number(row.residual / (row.floor or math.nan), 3)),
+            numbers("samples", lambda row: str(row.samples)),
+            numbers("independent", lambda row: f"{row.independent_samples:.0f}"),
         ),
         "the adequacy of the fit leaves out what errors of known values explain",
     )
 
 
-def expected_table(document: Row) -> Table:
+def expected_table(document: CheckDocument) -> Table:
     """Return the verdicts of a check, before a fit."""
     return table(
-        f"{document['campaign']['name']}: what these trials are expected to determine",
-        document["parameters"],
+        f"{document.campaign['name']}: what these trials are expected to determine",
+        document.parameters,
         (
             _PARAMETER,
-            numbers("at", lambda row: number(row["value"])),
-            numbers("half-width", lambda row: half_width(row["half_width"]), "%"),
-            numbers("over bounds", lambda row: half_width(row["half_width_over_bounds"]), "%"),
-            numbers("effect", lambda row: mean_sigma((row["effect"], row["interaction"]))),
+            numbers("at", lambda row: number(row.value)),
+            numbers("half-width", lambda row: half_width(row.half_width), "%"),
+            numbers("over bounds", lambda row: half_width(row.half_width_over_bounds), "%"),
+            numbers("effect", lambda row: mean_sigma((row.effect, row.interaction))),
             _VERDICT,
-            _trades(document["parameters"]),
+            _trades(document.parameters),
         ),
         "half-width: 95 %, from noise alone, at the defaults and (median) over the bounds; effect: mean size "
         "of the elementary effects on the NRMSE over the bounds (Morris), ± its standard deviation",
     )
 
 
-def quality_table(document: Row) -> Table:
+def quality_table(document: CheckDocument) -> Table:
     """Return what the logs of a campaign look like, a row each."""
 
-    def noise(row: Row) -> str:
+    def noise(row: Mapping[str, Any]) -> str:
         return f"{1000 * row['noise']['x']:.2f}, {1000 * row['noise']['z']:.2f}"
 
     columns = [
-        _name("trial"),
-        _name("use", "use"),
+        words("trial", itemgetter("name")),
+        words("use", itemgetter("use")),
         numbers("rate", lambda row: number(row["rate"]), "Hz"),
         numbers("jitter", lambda row: percent(row["jitter"], 1), "%"),
         numbers("holes", lambda row: str(row["holes"])),
     ]
-    if any("impact_speed" in row for row in document["quality"]):
+    if any("impact_speed" in row for row in document.quality):
         columns += [
             numbers("lost", lambda row: str(row["lost_in_window"])),
             numbers("noise x, z", noise, "mm"),
@@ -215,49 +213,48 @@ def quality_table(document: Row) -> Table:
         ]
     else:
         columns.append(numbers("at its limit", lambda row: percent(row["saturated"], 1), "%"))
-    return table(f"{document['campaign']['name']}: logs", document["quality"], columns)
+    return table(f"{document.campaign['name']}: logs", document.quality, columns)
 
 
-def validation_table(name: str, document: Row) -> Table:
+def validation_table(name: str, document: ValidationDocument | CrossValidationDocument) -> Table:
     """Return the score of a validation or cross-validation, a row per trial.
 
     It compares the NRMSE of the best set with what noise alone explains, also up to the third contact.
     """
-    rows = document["trials"]
-    early = any(row.get("nrmse_third_contact") is not None for row in rows)
+    rows: Sequence[ValidatedTrial | LeftOutTrial] = document.trials
+    early = any(row.nrmse_third_contact is not None for row in rows)
     # A cross-validation keeps no samples of the trial that it leaves out.
-    leaving = not any("refit" in row for row in rows)
-    stops = any(row.get("stop") for row in rows)
+    leaving = isinstance(document, ValidationDocument)
+    stops = any(isinstance(row, ValidatedTrial) and row.stop for row in rows)
 
-    def leaves(row: Row) -> str:
-        place = row.get("leaves")
-        return "never" if not place else f"{place['time']:.3f} ({channel_symbol(place['channel'])})"
+    def leaves(row: JudgedTrial) -> str:
+        place = row.leaves
+        return f"{place.time:.3f} ({channel_symbol(place.channel)})" if place else "never"
 
     def stopping(what: str, unit: str) -> tuple[TableColumn, ...]:
-        def measured(row: Row) -> str:
-            return number(row["stop"][what]["measured"], 3) if row.get("stop") else NONE
+        def measured(row: ValidatedTrial) -> str:
+            return number(row.stop[what]["measured"], 3) if row.stop else NONE
 
-        def predicted(row: Row) -> str:
-            place = row["stop"][what] if row.get("stop") else {}
-            return mean_sigma((place["mean"], place["sigma"])) if place else NONE
+        def predicted(row: ValidatedTrial) -> str:
+            return mean_sigma((row.stop[what]["mean"], row.stop[what]["sigma"])) if row.stop else NONE
 
         return numbers(f"stop {what}, measured", measured, unit), numbers(
             f"stop {what}, predicted ± spread", predicted, unit, joined=True
         )
 
     third = (
-        numbers("to 3rd contact", lambda row: percent(row.get("nrmse_third_contact")), "%"),
-        numbers("ratio there", lambda row: number(row.get("ratio_third_contact"), 3), joined=True),
+        numbers("to 3rd contact", lambda row: percent(row.nrmse_third_contact), "%"),
+        numbers("ratio there", lambda row: number(row.ratio_third_contact, 3), joined=True),
     )
-    flag = "flagged" if document.get("flagged") else "not flagged"
+    flag = "flagged" if document.flagged else "not flagged"
     return table(
         f"prediction of trials that were not fitted, {name}: {flag}",
         rows,
         (
-            _name("trial"),
-            numbers("NRMSE", lambda row: percent(row["nrmse"][0]), "%"),
-            numbers("noise alone", lambda row: percent(row.get("floor")), "%", joined=True),
-            numbers("ratio", lambda row: number(row.get("ratio"), 3), joined=True),
+            _TRIAL,
+            numbers("NRMSE", lambda row: percent(row.nrmse[0]), "%"),
+            numbers("noise alone", lambda row: percent(row.floor), "%", joined=True),
+            numbers("ratio", lambda row: number(row.ratio, 3), joined=True),
             *(third if early else ()),
             numbers("leaves the noise at", leaves, "s") if leaving else None,
             *(stopping("place", "m") + stopping("time", "s") if stops else ()),
@@ -270,65 +267,65 @@ def validation_table(name: str, document: Row) -> Table:
     )
 
 
-def comparison_table(document: Row) -> Table:
+def comparison_table(document: Comparison) -> Table:
     """Return which parameters differ between fits by more than their intervals allow."""
 
-    def allowed(row: Row) -> str:
-        share = row["allowed"] / abs(row["values"][0]) if row["values"][0] else math.nan
+    def allowed(row: Difference) -> str:
+        share = row.allowed / abs(row.values[0]) if row.values[0] else math.nan
         return f"± {percent(share, 1)}" if judged(row) else "open"
 
-    def judged(row: Row) -> bool:
-        return math.isfinite(row["allowed"])
+    def judged(row: Difference) -> bool:
+        return math.isfinite(row.allowed)
 
-    ends = all(map(judged, document["differences"]))
+    ends = all(map(judged, document.differences))
     differs = {True: Cell("yes", "bad"), False: Cell("no"), None: Cell("not known")}
     return table(
         "differences between the fits",
-        document["differences"],
+        document.differences,
         (
             _PARAMETER,
-            words("fits", lambda row: " / ".join(row["fits"])),
-            numbers("values", lambda row: " / ".join(map(number, row["values"])) if judged(row) else NONE),
-            numbers("difference", lambda row: percent(row["difference"], 1) if judged(row) else NONE, "%"),
+            words("fits", lambda row: " / ".join(row.fits)),
+            numbers("values", lambda row: " / ".join(map(number, row.values)) if judged(row) else NONE),
+            numbers("difference", lambda row: percent(row.difference, 1) if judged(row) else NONE, "%"),
             numbers("allowed", allowed, "%"),
-            _name("by", "by"),
-            words("real", lambda row: differs[row["differs"]]),
+            words("by", attrgetter("by")),
+            words("real", lambda row: differs[row.differs]),
         ),
         "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference; "
         "real: larger than allowed" + ("" if ends else "; open: an interval has no end"),
     )
 
 
-def cross_table(document: Row) -> Table:
+def cross_table(document: Comparison) -> Table:
     """Return the NRMSE of every fit's best set on every fit's trials."""
     return listed(
         "NRMSE [%] of the best set of a fit (row) on the fitted trials of another (column)",
-        [(n, *map(percent, scores)) for n, scores in zip(document["fits"], document["cross"], strict=True)],
-        ("best set of", *document["fits"]),
+        [(n, *map(percent, scores)) for n, scores in zip(document.fits, document.cross or (), strict=True)],
+        ("best set of", *document.fits),
         "a set brings its fitted values; the values that its fit took as known count where the campaign "
         "states none; every log keeps its clock offset",
     )
 
 
-def print_check(document: Row, json: bool, *, quiet: bool = False) -> None:
+def print_check(document: CheckDocument, json: bool, *, quiet: bool = False) -> None:
     """Print a check: logs, excitation, verdicts, what to record next, and the warnings once more."""
-    if print_result(document, json):
+    if print_result(document.model_dump(exclude_unset=True), json):
         return
     print_table(quality_table(document))
-    for row in document["quality"]:
+    for row in document.quality:
         print_lines([f"{row['name']}: suspicious: {finding}" for finding in row["suspicions"]], "bold yellow")
     print_lines([*check_lines(document), ""])
     print_table(expected_table(document))
-    print_lines([channel_line(document), "", *document["sentences"]])
-    if warnings := document["warnings"]:
+    print_lines([channel_line(document), "", *document.sentences])
+    if warnings := document.warnings:
         plural = "" if len(warnings) == 1 else "s"
         above = "" if quiet else ", above"
         print_lines(["", f"{len(warnings)} warning{plural}{above}:", *warnings], "bold yellow")
 
 
-def check_lines(document: Row) -> list[str]:
+def check_lines(document: CheckDocument) -> list[str]:
     """Return what the logs' table has no column for: instants, clocks, centre of mass, excitation."""
-    rows, out = document["quality"], []
+    rows, out = document.quality, []
     instants = [f"{r['name']} {r['release']:.3f} / {r['touchdown']:.3f}" for r in rows if "release" in r]
     if instants:
         out.append(f"start of the fall / touchdown on the log's clock [s]: {', '.join(instants)}")
@@ -338,7 +335,7 @@ def check_lines(document: Row) -> list[str]:
                 f"{row['name']}: second log {second['log']}: clock offset {second['offset']:.4g} s, "
                 f"confidence {second['confidence']:.4g}"
             )
-    mass = document.get("centre_of_mass")
+    mass = document.centre_of_mass
     if mass is not None:
         pairs = [
             f"{1e3 * mass[key]:.1f} ± {1e3 * mass[f'{key}_error']:.1f} mm {word}"
@@ -346,54 +343,58 @@ def check_lines(document: Row) -> list[str]:
         ]
         out.append(f"centre of mass off the stated one, from the turns in flight: {', '.join(pairs)}")
     spans = []
-    for name, value in document["excitation"].items():
+    for name, value in document.excitation.items():
         word, unit = name.removesuffix("_deg").replace("_", " "), _UNITS.get(name, "")
         ends = f"{value[0]:.3g} to {value[1]:.3g}" if isinstance(value, list) else f"{value}"
         spans.append(f"{word} {ends} {unit}".rstrip())
     return [*out, f"excitation: {', '.join(spans)}"]
 
 
-def channel_line(document: Row) -> str:
+def channel_line(document: CheckDocument) -> str:
     """Return which channels inform each parameter, the most informative one first."""
     parts = []
-    for row in document["parameters"]:
-        order = sorted(row["channels"].items(), key=lambda pair: -pair[1])
+    for row in document.parameters:
+        order = sorted(row.channels.items(), key=lambda pair: -pair[1])
         shares = [f"{channel_symbol(name)} {100 * share:.0f} %" for name, share in order if share >= _TELLS]
         # Where many channels inform a little each, the first one is named without its share.
         first = [channel_symbol(name) for name, share in order[:1] if share > 0]
-        parts.append(f"{row['symbol']}: {', '.join(shares or first) or 'nothing'}")
+        parts.append(f"{row.symbol}: {', '.join(shares or first) or 'nothing'}")
     return f"informed by: {'; '.join(parts)}"
 
 
-def print_trust(document: Row, folder: Path, json: bool, *, long: bool = False) -> None:
+def print_trust(document: TrustDocument, folder: Path, json: bool, *, long: bool = False) -> None:
     """Print the intervals and verdicts of a fit, and where they are stored."""
-    if print_result(document, json):
+    if print_result(document.printed(), json):
         return
     folder = folder if folder.is_dir() else folder.parent
     print_lines([f"{folder.name}:"])
     wide = [narrow_table(document), spread_table(document)] if long else []
     for part in (interval_table(document), *wide, noise_table(document)):
         print_table(part)
-    scores = ", ".join(f"{trial['name']} {trial['ratio']:.2f}" for trial in document["trials"])
-    print_lines([f"residual over noise by trial, with errors of known values: {scores}", *document["notes"]])
-    print_lines([f"written to {folder / 'trust.json'} and .h5 in {document['seconds']:.0f} s"])
+    scores = ", ".join(f"{trial.name} {trial.ratio:.2f}" for trial in document.trials)
+    print_lines([f"residual over noise by trial, with errors of known values: {scores}", *document.notes])
+    print_lines([f"written to {folder / 'trust.json'} and .h5 in {document.seconds:.0f} s"])
 
 
-def print_validation(document: Row, folder: Path, json: bool) -> None:
+def print_validation(
+    document: ValidationDocument | CrossValidationDocument, folder: Path, json: bool
+) -> None:
     """Print a validation or cross-validation."""
-    if print_result(document, json):
+    if print_result(document.printed(), json):
         return
     folder = folder if folder.is_dir() else folder.parent
     print_table(validation_table(folder.name, document))
-    print_lines(document["reasons"] or ["not flagged: the NRMSE is within what noise explains"])
+    print_lines(document.reasons or ["not flagged: the NRMSE is within what noise explains"])
 
 
-def print_comparison(document: Row, sets: Sequence[ParameterSets], json: bool) -> None:
-    """Print fits side by side, their differences and the cross-table."""
-    if print_result(document, json):
+def print_comparison(
+    document: Comparison, sets: Sequence[ParameterSets], json: bool, page: Path | None = None
+) -> None:
+    """Print fits side by side, their differences and the cross-table, and where their page was written."""
+    if print_result(document.model_dump() | ({"page": str(page)} if page else {}), json):
         return
     print_table(mean_sigma_table(*sets))
     print_table(comparison_table(document))
-    if document["cross"] is not None:
+    if document.cross is not None:
         print_table(cross_table(document))
-    print_lines(document["sentences"])
+    print_lines([*document.sentences, *([f"wrote {page}"] if page else [])])

@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import ConfigDict, Field
 
@@ -26,14 +26,15 @@ from sysid.documents import Document, Open, OpenMapping, Part
 from sysid.errors import FitError
 from sysid.fit.adequacy import Adequacy
 from sysid.fit.provenance import CampaignFile
-from sysid.parameter_sets import INTERVALS, SetsContent
+from sysid.parameter_sets import INTERVALS, Flags, Judged, Pair, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_files
+from sysid.types import BoolArray, FloatArray
 
 TRUST, CROSS_VALIDATION, LADDER, VALIDATION = "trust", "cross-validation", "ladder", "validation-"
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Sets = TypeVar("Sets", bound=SetsContent)
-Flags = Annotated[list[bool], Field(min_length=2, max_length=2)]
+# Arrays of a document by path in its HDF5 file: values, axes, unit.
+Arrays = Mapping[str, tuple[FloatArray | BoolArray, str, str]]
 
 
 class Partner(Part):
@@ -43,22 +44,8 @@ class Partner(Part):
     correlation: float
 
 
-class FreeParameter(Part):
-    """What is known of one free parameter, in its unit.
-
-    ``value`` is the best set's. The sum of squares is least at ``refined``, which differs from ``value`` by
-    less than the interval, or a warning says so. ``mean`` and ``sigma`` are over the fit's sets (Table II).
-    ``fisher_sigma`` is the linearized standard deviation. ``derivative_doubt`` is the share by which the
-    derivative changes when its step is halved; from a tenth on it is not trusted. Intervals [low, high] come
-    from the profile; an open end is a bound of the search. ``half_width`` is half of ``interval_95`` over the
-    profile's best value, infinite where open; ``expected_half_width`` is linearized, as in `sysid check`.
-    ``verdict`` is "well" below 0.1, "weakly" below 0.5, else "not_identifiable"; never "well" with a
-    ``doubt``, which says why the interval may miss the truth. It is "not_interpretable" where the
-    model does not explain the trials and a bound cuts it or a partner. ``partners`` come strongest first,
-    from a correlation of 0.8 on. ``at_bound`` is -1, 0 or 1: the best set ends within 1 % of a bound.
-    ``measured`` is the campaign's independent measurement. ``rough_points`` of the profile needed a random
-    search.
-    """
+class FreeParameter(Judged):
+    """What is known of one free parameter [its unit]; the intervals come from the profile."""
 
     name: str
     symbol: str
@@ -66,25 +53,32 @@ class FreeParameter(Part):
     lower: float
     upper: float
     scale: str
+    # Best set.
     value: float
+    # Least sum of squares; it differs from `value` by less than the interval, or a warning says so.
     refined: float
+    # Over the fit's sets (Table II).
     mean: float
     sigma: float
+    # Linearized standard deviation.
     fisher_sigma: float
+    # Share by which the derivative changes when its step is halved [1]; from a tenth on it is not trusted.
     derivative_doubt: float
     derivative_trusted: bool
     interval_68: Pair
-    interval_95: Pair
     open_68: Flags
-    open_95: Flags
+    # Half of `interval_95` over the profile's best value [1], infinite where open.
     half_width: float
-    verdict: str
-    doubt: str | None
+    # The same, linearized, as in `sysid check`.
     expected_half_width: float
+    # Strongest first, from a correlation of 0.8 on.
     partners: list[Partner]
+    # -1, 0 or 1: the best set ends within 1 % of the lower bound, of none, of the upper one.
     at_bound: int
+    # The campaign's independent measurement.
     measured: Pair | None
     bootstrap_95: Pair | None
+    # Points of the profile that needed a random search.
     rough_points: int
 
 
@@ -124,14 +118,14 @@ class Spread(Part):
 
 
 class TrialInfluence(Part):
-    """Residual over what noise alone costs; parameters of the fit without the trial.
-
-    ``shift`` is how far they move, in standard deviations of what one trial less explains.
-    """
+    """How much of a fit hangs on one trial."""
 
     name: str
+    # Residual over what noise alone costs [1].
     ratio: float
+    # Parameters of the fit without the trial [SI].
     without: dict[str, float]
+    # How far they move, in standard deviations of what one trial less explains [1].
     shift: dict[str, float]
 
 
@@ -142,24 +136,33 @@ class Bootstrap(Part):
     failed: int
 
 
-class JudgedTrial(Part):
-    """A predicted trial. ``nrmse`` has a value per set, best first; the other numbers are the best's [1].
+class Leaves(Part):
+    """The first of three samples in a row beyond ``limits.leaves`` noise deviations."""
 
-    ``floor`` is what the measurement's noise alone costs (NaN where not known), ``ratio`` the NRMSE over it.
-    NRMSE and ratio are also stated up to the prediction's third touchdown, ``third_contact`` after the first
-    one [s]. ``leaves`` is the first of three samples in a row beyond ``limits.leaves`` noise deviations: time
-    [s], channel, contacts before.
-    """
+    # Time since the first touchdown or the start of the trial [s].
+    time: float
+    channel: str
+    # Contacts of the prediction until then.
+    after_contacts: int
+
+
+class JudgedTrial(Part):
+    """A predicted trial; all numbers but ``nrmse`` are the best set's."""
 
     name: str
+    # One value per set, best first [1].
     nrmse: list[float]
     by_channel: dict[str, float]
+    # NRMSE that the measurement's noise alone costs [1]; NaN where not known.
     floor: float
+    # NRMSE over that floor [1].
     ratio: float
+    # The same two up to the prediction's third touchdown [1].
     nrmse_third_contact: float | None
     ratio_third_contact: float | None
+    # That touchdown after the first one [s].
     third_contact: float | None
-    leaves: OpenMapping | None
+    leaves: Leaves | None
 
 
 class ValidatedTrial(JudgedTrial):
@@ -168,10 +171,16 @@ class ValidatedTrial(JudgedTrial):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Open]
 
+    @property
+    def stop(self) -> dict[str, dict[str, float]] | None:
+        """Place [m] and time [s] of rest, each measured, mean and sigma; None where a kind states none."""
+        return self.__pydantic_extra__.get("stop")
+
 
 class LeftOutTrial(JudgedTrial):
-    """A trial that was left out, and the parameters of the fit without it."""
+    """A trial that was left out."""
 
+    # Parameters of the fit without it [SI].
     refit: dict[str, float]
 
 
@@ -181,20 +190,48 @@ class TrustPart(Document):
     WHAT: ClassVar[str] = "a document of trust"
     REMEDY: ClassVar[str] = "run it again"
 
-    schema_: Literal["sysid-trust"] = Field("sysid-trust", alias="schema")
+    schema_: Literal["sysid-trust"] = Field(default="sysid-trust", alias="schema")
     version: Literal[1] = 1
+    # Name of the file without its suffix.
     part: str
+    # Name and kind of the fit.
     fit: str
     kind: str
-    fit_sha256: str
-    written: str
+    # Hash of the fit.h5 beside it, and when it was written; both are set by `write_part`.
+    fit_sha256: str = ""
+    written: str = ""
     campaign: CampaignFile
     warnings: list[str]
+
+    @classmethod
+    def read(cls, folder: Path, part: str = "") -> Self | None:
+        """Return a document of a fit folder; None where there is none, or where the fit has changed since.
+
+        A class of one document knows its `part`. Raises FitError when the file is damaged or of another
+        version.
+        """
+        path = folder / f"{part or cls.model_fields['part'].default}.json"
+        if not path.is_file():
+            return None
+        try:
+            text = path.read_bytes()
+        except OSError as error:
+            raise FitError(f"{path}: cannot be read ({error}); run it again") from error
+        document = cls.parse(text, path, FitError)
+        return document if document.fit_sha256 == file_sha256(folder / "fit.h5") else None
+
+    def printed(self) -> dict[str, Any]:
+        """Return what a command prints: all but what only the file needs."""
+        return self.model_dump(exclude=_OF_THE_FILE)
+
+
+_OF_THE_FILE = {"schema_", "version", "part", "fit", "kind", "fit_sha256", "written"}
 
 
 class TrustDocument(TrustPart):
     """``trust.json``: intervals, verdicts and influence of trials."""
 
+    part: str = TRUST
     adequacy: Adequacy | None = None
     parameters: list[FreeParameter]
     correlation: list[list[float]]
@@ -205,6 +242,11 @@ class TrustDocument(TrustPart):
     bootstrap: Bootstrap | None
     evaluations: int
     seconds: float
+
+    @property
+    def by_name(self) -> dict[str, FreeParameter]:
+        """The parameters by name."""
+        return {row.name: row for row in self.parameters}
 
 
 class Judgement(TrustPart):
@@ -228,49 +270,53 @@ class ValidationDocument(Judgement):
 class CrossValidationDocument(Judgement):
     """``cross-validation.json``: every fitted trial, predicted by the fit of the others."""
 
+    part: str = CROSS_VALIDATION
     trials: list[LeftOutTrial]
 
 
 class LadderRung(Part):
-    """A fit with some terms: their titles, the value of every free parameter, and how well it predicts.
+    """A fit with some terms, and how well it predicts."""
 
-    ``over_noise`` is NRMSE over what noise alone costs [1], ``left_out`` the same of each trial as the fit of
-    the others predicts it, ``misfit`` its residual over noise there, root mean square over the channels, by
-    which terms are judged. ``gain`` is the mean logarithm of what the last term takes off ``misfit``;
-    ``chance`` the probability that it is luck, or of a term that is kept beside others that its value is none
-    (Wald), for all terms looked at; NaN of the base. ``kept``: the last term is among those to keep.
-    """
-
+    # Titles of its terms.
     terms: list[str]
+    # Every free parameter [SI].
     values: dict[str, float]
     nrmse: float
+    # NRMSE over what noise alone costs [1].
     over_noise: float
+    # The same of each trial as the fit of the others predicts it [1].
     left_out: list[float]
+    # Its residual over noise there, root mean square over the channels, by which terms are judged [1].
     misfit: list[float]
+    # Mean logarithm of what the last term takes off `misfit` [1].
     gain: float
+    # Probability that the gain is luck, or that a kept term has no value beside the others (Wald), for all
+    # terms looked at [1]; NaN of the base.
     chance: float
+    # The last term is among those to keep.
     kept: bool
 
 
 class LadderDocument(TrustPart):
-    """``ladder.json``: the fit, each term of its kind added alone, then those to keep together.
+    """``ladder.json``: the fit, each term of its kind added alone, then those to keep together."""
 
-    ``simpler`` are models that lack something, by their title in ``terms``: their ``gain`` and ``chance`` are
-    of the fit's model over them, ``kept`` says that what they lack is needed. ``trials`` names what was left
-    out in turn: the trials, or ``parts`` of them. ``symbols`` and ``units`` are of all parameters that a rung
-    has, ``keep`` the titles and ``parameters`` the names of the terms to keep; ``together`` is the nearest
-    one where there is none. ``adequacy`` is of the model with what to keep.
-    """
-
+    part: str = LADDER
+    # Names of what was left out in turn: the trials, or `parts` of them.
     trials: list[str]
     parts: bool
+    # All parameters that a rung has, by name.
     symbols: dict[str, str]
     units: dict[str, str]
+    # The model with the terms to keep.
     adequacy: Adequacy
     base: LadderRung
     alone: list[LadderRung]
+    # The terms to keep, one more in each rung; the nearest one where there is none.
     together: list[LadderRung]
+    # Models that lack something, by their title in `terms`: `gain` and `chance` are of the fit's model over
+    # them, `kept` says that what they lack is needed.
     simpler: list[LadderRung] = Field(default_factory=list)
+    # Titles and parameters of the terms to keep.
     keep: list[str]
     parameters: list[str]
     evaluations: int
@@ -280,9 +326,6 @@ class LadderDocument(TrustPart):
 class Expected(Part):
     """What the trials of a campaign are expected to determine of a parameter, before a fit.
 
-    ``half_width`` is the relative 95 % half-width at ``value``, ``half_width_over_bounds`` the median over
-    points drawn from the bounds [1]; ``verdict`` is on the worse of both. ``effect`` and ``interaction`` are
-    mean size and standard deviation of the elementary effects on the NRMSE over the bounds (Morris 1991) [1].
     NaN where not computed.
     """
 
@@ -290,11 +333,14 @@ class Expected(Part):
     symbol: str
     unit: str
     value: float
+    # Relative 95 % half-width at `value`, and its median over points drawn from the bounds [1].
     half_width: float
     half_width_over_bounds: float
+    # Elementary effects on the NRMSE over the bounds (Morris 1991) [1]: mean size, standard deviation.
     effect: float
     interaction: float
     partners: list[Partner]
+    # On the worse half-width.
     verdict: str
 
     @property
@@ -304,8 +350,9 @@ class Expected(Part):
 
 
 class ExpectedParameter(Expected):
-    """The same in a check. ``channels``: share of what is known that comes from each channel [1]."""
+    """The same in a check."""
 
+    # Share of what is known that comes from each channel [1].
     channels: dict[str, float]
 
 
@@ -335,68 +382,36 @@ class CheckDocument(Part):
     seconds: float
 
 
-_NAMED: dict[str, type[TrustPart]] = {
-    TRUST: TrustDocument, CROSS_VALIDATION: CrossValidationDocument, LADDER: LadderDocument,
-}  # fmt: skip
 ARRAYS = FileKind("sysid-trust", 1, "the arrays of a trust document", "run it again", FitError)
 
 
-def model_of(part: str) -> type[TrustPart]:
-    """Return the model of a document."""
-    return _NAMED.get(part, ValidationDocument)
-
-
 def write_part(
-    folder: Path,
-    part: str,
-    document: Mapping[str, Any],
-    arrays: Mapping[str, tuple[Any, str, str]],
-    *,
-    fit: str,
-    kind: str,
-    beside: Mapping[str, bytes] | None = None,
+    folder: Path, document: TrustPart, arrays: Arrays, beside: Mapping[str, bytes] | None = None
 ) -> Path:
     """Write one document and its arrays into a fit folder, in place of an earlier one.
 
-    `part` is ``trust``, ``cross-validation`` or ``validation-CAMPAIGN``. `document` has what `model_of` the
-    part adds to `TrustPart`, and campaign and warnings; `arrays` are (values, axes, unit) by path in
-    the HDF5 file. `fit` is the fit's name; `beside` are further files of the folder that change with it, by
-    name. Raises FitError, with nothing changed, when it cannot be written.
+    `beside` are further files of the folder that change with it, by name. Raises FitError, with nothing
+    changed, when it cannot be written.
     """
-    text = model_of(part)(
-        part=part, fit=fit, kind=kind, fit_sha256=file_sha256(folder / "fit.h5"),
-        written=datetime.now(UTC).isoformat(timespec="seconds"), **document,
-    ).text()  # fmt: skip
+    stamp = {
+        "fit_sha256": file_sha256(folder / "fit.h5"),
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    text = document.model_copy(update=stamp).text()
 
     def write(file: Any) -> None:
-        file.attrs["part"] = part
+        file.attrs["part"] = document.part
         for path, (values, axes, unit) in arrays.items():
             put(file, path, values, axes, unit)
 
-    target = folder / f"{part}.json"
+    target = folder / f"{document.part}.json"
     # The arrays first: without the document, which names them, they count as not there.
-    files = {folder / f"{part}.h5": ARRAYS.content(write), target: text.encode("utf-8")}
+    files = {folder / f"{document.part}.h5": ARRAYS.content(write), target: text.encode("utf-8")}
     write_files(files | {folder / name: data for name, data in (beside or {}).items()}, FitError)
     return target
 
 
-def read_part(folder: Path, part: str) -> dict[str, Any] | None:
-    """Return a document of a fit folder; None where there is none, or where the fit has changed since.
-
-    Raises FitError when it is damaged or of another version.
-    """
-    path = folder / f"{part}.json"
-    if not path.is_file():
-        return None
-    try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise FitError(f"{path}: cannot be read ({error}); run it again") from error
-    document = model_of(part).parse(text, path, FitError)
-    return document.model_dump() if document.fit_sha256 == file_sha256(folder / "fit.h5") else None
-
-
-def read_arrays(folder: Path, part: str) -> dict[str, Any]:
+def read_arrays(folder: Path, part: str) -> dict[str, FloatArray]:
     """Return the arrays of a document by their path in the HDF5 file; FitError when it cannot be read."""
     with ARRAYS.opened(folder / f"{part}.h5") as file:
         return datasets(file)
@@ -405,27 +420,28 @@ def read_arrays(folder: Path, part: str) -> dict[str, Any]:
 def parts(folder: Path) -> tuple[str, ...]:
     """Return the documents in a fit folder, whether or not the fit has changed since."""
     stems = sorted(path.stem for path in folder.glob("*.json") if (folder / f"{path.stem}.h5").is_file())
-    return tuple(name for name in stems if name in _NAMED or name.startswith(VALIDATION))
+    return tuple(
+        name for name in stems if name in (TRUST, CROSS_VALIDATION, LADDER) or name.startswith(VALIDATION)
+    )
 
 
 def with_intervals(sets: Sets, folder: Path) -> Sets:
     """Return the sets of a fit folder; settings state interval and verdict where the fit was assessed."""
-    document = read_part(folder, TRUST) if folder.is_dir() else None
+    document = TrustDocument.read(folder) if folder.is_dir() else None
     return sets if document is None else stating_intervals(sets, document)
 
 
-def stating_intervals(sets: Sets, document: Mapping[str, Any]) -> Sets:
+def stating_intervals(sets: Sets, document: TrustDocument) -> Sets:
     """Return sets whose settings state interval and verdict of a document, and which give its warnings."""
-    keys = ("interval_95", "open_95", "verdict", "doubt")
-    rows = {row["name"]: {key: row[key] for key in keys} for row in document["parameters"]}
+    rows = {row.name: row.model_dump(include={*Judged.model_fields}) for row in document.parameters}
     return replace(
         sets,
         settings={**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}},
-        warnings=tuple(dict.fromkeys((*sets.warnings, *document["warnings"]))),
+        warnings=tuple(dict.fromkeys((*sets.warnings, *document.warnings))),
     )
 
 
-def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
+def free_part(folder: Path, part: str, campaign: CampaignFile) -> str:
     """Return the name under which a validation replaces an earlier one of its campaign, and no other.
 
     `part` is the `validation_part` of the campaign's name, `campaign` what the document states of its file.
@@ -436,8 +452,8 @@ def free_part(folder: Path, part: str, campaign: Mapping[str, str]) -> str:
     for name in parts(folder):
         if re.fullmatch(re.escape(part) + "(-[0-9a-f]{8})?", name):
             with suppress(FitError):
-                if document := read_part(folder, name):
-                    there[name] = document["campaign"]
+                if document := ValidationDocument.read(folder, name):
+                    there[name] = document.campaign
     for key in ("from_fit_folder", "sha256"):
         same = [name for name, stated in there.items() if stated.get(key, "") == campaign.get(key)]
         if same:

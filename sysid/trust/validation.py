@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sysid.fit.trial import Trial
-from sysid.trust.documents import JudgedTrial
+from sysid.trust.documents import JudgedTrial, Leaves
 from sysid.types import FloatArray
 
 # Limits of the NRMSE over its noise floor, mean over trials [1]: whole windows, up to the third touchdown.
@@ -64,14 +64,14 @@ def judge(
         early, until = float(np.sum(share * rms)), end - trial.zero
     away = np.abs(error) > LEAVES * noise / safe
     away &= valid & used & np.isfinite(noise)
-    leaves = None
+    leaves: Leaves | None = None
     row = np.ones(IN_A_ROW, dtype=np.int64)
     for c in range(len(channels) if len(time) >= IN_A_ROW else 0):
         runs = np.flatnonzero(np.convolve(away[:, c].astype(np.int64), row, "valid") == IN_A_ROW)
-        if len(runs) and (leaves is None or time[runs[0]] - trial.zero < leaves["time"]):
+        if len(runs) and (leaves is None or time[runs[0]] - trial.zero < leaves.time):
             at = float(time[runs[0]])
             before = 0 if contacts is None else int(np.count_nonzero(contacts <= at))
-            leaves = {"time": at - trial.zero, "channel": channels[c], "after_contacts": before}
+            leaves = Leaves(time=at - trial.zero, channel=channels[c], after_contacts=before)
     return JudgedTrial(
         name=trial.name,
         nrmse=nrmse.tolist(),

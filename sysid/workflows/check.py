@@ -11,7 +11,7 @@ import numpy as np
 from sysid.fit.problem import Problem
 from sysid.fit.provenance import CampaignFile
 from sysid.journal import Journal, Say
-from sysid.trust.documents import CheckDocument, Expected
+from sysid.trust.documents import CandidateRecording, CheckDocument, Expected, ExpectedParameter
 from sysid.trust.linearized import Linearized
 from sysid.trust.sensitivity import (
     Candidate,
@@ -30,8 +30,8 @@ _NAMED = 3
 
 def check_campaign(
     path: Path, *, surface: str | None = None, threads: int | None = None, say: Say = None
-) -> dict[str, Any]:
-    """Judge a campaign before it is fitted; return the `CheckDocument` as a dictionary.
+) -> CheckDocument:
+    """Judge a campaign before it is fitted.
 
     `surface` overrides a gear campaign's friction law.
 
@@ -62,14 +62,13 @@ def check_campaign(
             out["sentences"] += whole.advice([row.name for row in expected if row.verdict != "well"])
             out |= {**seen, "excitation": whole.excitation()}
             warnings = journal.sentences()
-    document = CheckDocument(
+    return CheckDocument(
         campaign=CampaignFile(file=path.name, sha256=campaign.source.sha256, name=campaign.name),
         kind=kind.name,
         warnings=warnings,
         seconds=time.perf_counter() - began,
         **out,
     )
-    return document.model_dump(exclude_unset=True)
 
 
 def _verdicts(
@@ -114,18 +113,18 @@ def _verdicts(
         lines.append("record next: " + ", else ".join(worth[:_NAMED]))
     return {
         "parameters": [
-            row.model_dump() | {"channels": dict(zip(problem.channels, share.tolist(), strict=True))}
+            ExpectedParameter(**vars(row), channels=dict(zip(problem.channels, share.tolist(), strict=True)))
             for row, share in zip(expected, shares, strict=True)
         ],
         "limits": {"well": WELL, "weakly": WEAKLY},
         "candidates": [
-            {
-                "title": c.title,
-                "gain": c.gain,
-                "half_widths": dict(zip(names, c.half_widths.tolist(), strict=True)),
-                "half_widths_over_bounds": dict(zip(names, c.over_bounds.tolist(), strict=True)),
-                "verdicts": {n: verdict(w) for n, w in zip(names, c.worse.tolist(), strict=True)},
-            }
+            CandidateRecording(
+                title=c.title,
+                gain=c.gain,
+                half_widths=dict(zip(names, c.half_widths.tolist(), strict=True)),
+                half_widths_over_bounds=dict(zip(names, c.over_bounds.tolist(), strict=True)),
+                verdicts={n: verdict(w) for n, w in zip(names, c.worse.tolist(), strict=True)},
+            )
             for c in candidates
         ],
         "sentences": lines,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,11 +12,10 @@ from sysid.errors import ExportError, FitError
 from sysid.journal import Journal, Say
 from sysid.parameter_sets import ParameterSets
 from sysid.report.comparison_page import ComparedFit, OverlaidTrial, comparison_page
-from sysid.report.fold import print_lines
 from sysid.report.trust_tables import print_comparison
 from sysid.storage import check_file, write_file
-from sysid.trust.comparison import compare_values, unjudged
-from sysid.trust.documents import TRUST, read_part, with_intervals
+from sysid.trust.comparison import Comparison, compare_values, unjudged
+from sysid.trust.documents import TrustDocument, with_intervals
 from sysid.types import FloatArray
 from sysid.workflows.predict import open_under, predict
 from sysid.workflows.reopen import OpenedFit, open_fit
@@ -35,21 +33,16 @@ def compare_and_print(
     document, compared = _compare(folders, cross, threads, say)
     if page is not None:
         write_file(page, comparison_page(document, compared).encode("utf-8"), ExportError)
-        document["page"] = str(page)
-    print_comparison(document, [fit.sets for fit in compared], json)
-    if page is not None and not json:
-        print_lines([f"wrote {page}"])
+    print_comparison(document, [fit.sets for fit in compared], json, page)
 
 
 def compare_fits(
     folders: Sequence[Path], *, cross: bool = True, threads: int | None = None, say: Say = None
-) -> tuple[dict[str, Any], tuple[ParameterSets, ...]]:
+) -> tuple[Comparison, tuple[ParameterSets, ...]]:
     """Compare fits of one kind; return the comparison and the sets of each fit.
 
     The campaigns of the fits must lie where they lay. With `cross`, every fit's best set predicts every other
-    fit's trials: ``cross`` is the NRMSE of the fits' best sets by the campaigns' trials, or None. The other
-    keys are ``fits`` (names), ``kind``, ``differences`` (per parameter and pair), ``sentences`` and
-    ``warnings``. Raises `FitError` for fewer than two fits, or fits of several kinds.
+    fit's trials. Raises `FitError` for fewer than two fits, or fits of several kinds.
     """
     document, compared = _compare(folders, cross, threads, say)
     return document, tuple(fit.sets for fit in compared)
@@ -57,7 +50,7 @@ def compare_fits(
 
 def _compare(
     folders: Sequence[Path], cross: bool, threads: int | None, say: Say
-) -> tuple[dict[str, Any], list[ComparedFit]]:
+) -> tuple[Comparison, list[ComparedFit]]:
     if len(folders) < 2:
         raise FitError("one fit compares with nothing; name two or more")
     with Journal(say) as journal:
@@ -67,7 +60,7 @@ def _compare(
             raise FitError(f"a {kinds[0]} and a {kinds[1]} fit share no parameters; compare fits of one kind")
         short = [folder.name for folder in folders]
         names = short if len(set(short)) == len(short) else [folder.as_posix() for folder in folders]
-        documents = [read_part(fit.folder, TRUST) for fit in opened]
+        documents = [TrustDocument.read(fit.folder) for fit in opened]
         # Two fits of one campaign share its name; a table's columns must not.
         sets = tuple(
             replace(with_intervals(fit.result.parameter_sets(), fit.folder), name=label)
@@ -81,7 +74,7 @@ def _compare(
             )
         differences = compare_values(names, sets, documents)
         table, overlaid = _cross(opened, names, threads) if cross else (None, [[] for _ in opened])
-    lines = [row["sentence"] for row in differences if row["differs"]]
+    lines = [row.sentence for row in differences if row.differs]
     lines += unjudged(differences)
     if table is not None:
         for j, label in enumerate(names):
@@ -89,14 +82,14 @@ def _compare(
             lines.append(
                 f"the trials of {label} are predicted best by {names[best]} ({100 * table[best, j]:.2f} %)"
             )
-    document = {
-        "fits": names,
-        "kind": kinds[0],
-        "differences": differences,
-        "cross": table,
-        "sentences": lines,
-        "warnings": journal.sentences(),
-    }
+    document = Comparison(
+        fits=names,
+        kind=kinds[0],
+        differences=differences,
+        cross=None if table is None else table.tolist(),
+        sentences=lines,
+        warnings=journal.sentences(),
+    )
     compared = [
         ComparedFit(each, trust, fit.result, trials)
         for each, trust, fit, trials in zip(sets, documents, opened, overlaid, strict=True)

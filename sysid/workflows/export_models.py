@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from sysid.documents import interval
 from sysid.errors import ExportError
 from sysid.export import export
 from sysid.export.gazebo import MotorPlugin, to_sdf
@@ -14,7 +13,7 @@ from sysid.fit.adequacy import NOT_BY
 from sysid.gear.surfaces import find_surface
 from sysid.journal import notice
 from sysid.motor.nearest_lag import first_order_rotor
-from sysid.parameter_sets import ADEQUACY, INTERVALS, ParameterSets
+from sysid.parameter_sets import ADEQUACY, ParameterSets
 from sysid.storage import check_file, write_file
 from sysid.workflows.show import load_sets
 
@@ -89,11 +88,10 @@ def _certainty(sets: ParameterSets) -> list[str]:
     out = []
     if judged := sets.provenance.get("adequacy"):
         out.append(f"Fit {judged['sentence']}.")
-    rows = sets.settings.get(INTERVALS, {})
     records = {record.name: record for record in sets.parameters}
-    for name, row in rows.items():
-        unit, verdict = records[name].unit, row["verdict"].replace("_", " ")
-        out.append(f"{name} [{unit}]: 95 % interval {interval(row, 95)}, {verdict}.")
+    for name, row in sets.judged.items():
+        unit, verdict = records[name].unit, row.verdict.replace("_", " ")
+        out.append(f"{name} [{unit}]: 95 % interval {row.interval}, {verdict}.")
     return out
 
 

@@ -7,7 +7,6 @@ import time
 import tomllib
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from sysid.journal import Journal, Say
 from sysid.report.drawing import check_figure_name
 from sysid.report.ladder import print_rungs
 from sysid.storage import check_file, write_file
-from sysid.trust.documents import LADDER, TRUST, read_part, write_part
+from sysid.trust.documents import LadderDocument, LadderRung, TrustDocument, write_part
 from sysid.trust.ladder import Climber, TermFit
 from sysid.workflows.reopen import OpenedFit, open_fit, shown_from_here
 
@@ -48,19 +47,19 @@ def climb_and_print(
         opened = open_fit(folder, campaign, threads)
         if adopt is not None:
             _check_adopting(opened, adopt, force)
-        trust = read_part(opened.folder, TRUST)
+        trust = TrustDocument.read(opened.folder)
         document = climb_ladder(opened, journal)
     lines = []
     try:
         if adopt is not None:
-            lines.append(_adopted(opened, document["parameters"], adopt))
-        elif document["keep"]:
+            lines.append(_adopted(opened, document.parameters, adopt))
+        elif document.keep:
             lines.append("--adopt FILE writes a campaign with what to keep")
     finally:
         print_rungs(document, trust, lines, json, figure)
 
 
-def climb_ladder(opened: OpenedFit, journal: Journal) -> dict[str, Any]:
+def climb_ladder(opened: OpenedFit, journal: Journal) -> LadderDocument:
     """Climb the ladder of a fit; store and return the document. FitError where there is none to climb."""
     began = time.perf_counter()
     terms = opened.terms
@@ -79,39 +78,41 @@ def climb_ladder(opened: OpenedFit, journal: Journal) -> dict[str, Any]:
         for of in (problem, *(rung.problem for rung in (*ladder.simpler, *ladder.alone)))
         for row in of.space.table.values()
     ]
-    document = {
-        "campaign": opened.stated,
-        "trials": list(problem.pieces[0]),
-        "parts": problem.pieces[0] != problem.names,
-        "symbols": {row.name: row.symbol for row in rows},
-        "units": {row.name: row.unit for row in rows},
-        "adequacy": adequacy(best.problem, best.problem.space.full(best.point[None])[0]).model_dump(),
-        "base": _rung(ladder.base),
-        "alone": [_rung(rung) for rung in ladder.alone],
-        "together": [_rung(rung) for rung in ladder.together],
-        "simpler": [_rung(rung) for rung in ladder.simpler],
-        "keep": [term.title for term in best.terms],
-        "parameters": [name for term in best.terms for name in term.parameters],
-        "evaluations": ladder.evaluations,
-        "warnings": journal.sentences(),
-        "seconds": time.perf_counter() - began,
-    }
-    write_part(opened.folder, LADDER, document, {}, fit=opened.result.name, kind=opened.result.kind)
+    document = LadderDocument(
+        fit=opened.result.name,
+        kind=opened.result.kind,
+        campaign=opened.stated,
+        trials=list(problem.pieces[0]),
+        parts=problem.pieces[0] != problem.names,
+        symbols={row.name: row.symbol for row in rows},
+        units={row.name: row.unit for row in rows},
+        adequacy=adequacy(best.problem, best.problem.space.full(best.point[None])[0]),
+        base=_rung(ladder.base),
+        alone=[_rung(rung) for rung in ladder.alone],
+        together=[_rung(rung) for rung in ladder.together],
+        simpler=[_rung(rung) for rung in ladder.simpler],
+        keep=[term.title for term in best.terms],
+        parameters=[name for term in best.terms for name in term.parameters],
+        evaluations=ladder.evaluations,
+        warnings=journal.sentences(),
+        seconds=time.perf_counter() - began,
+    )
+    write_part(opened.folder, document, {})
     return document
 
 
-def _rung(rung: TermFit) -> dict[str, Any]:
-    return {
-        "terms": [term.title for term in rung.terms],
-        "values": rung.values,
-        "nrmse": rung.nrmse,
-        "over_noise": rung.ratio,
-        "left_out": rung.left_out.tolist(),
-        "misfit": rung.misfit.tolist(),
-        "gain": rung.gain,
-        "chance": rung.chance,
-        "kept": rung.kept,
-    }
+def _rung(rung: TermFit) -> LadderRung:
+    return LadderRung(
+        terms=[term.title for term in rung.terms],
+        values=rung.values,
+        nrmse=rung.nrmse,
+        over_noise=rung.ratio,
+        left_out=rung.left_out.tolist(),
+        misfit=rung.misfit.tolist(),
+        gain=rung.gain,
+        chance=rung.chance,
+        kept=rung.kept,
+    )
 
 
 def _check_adopting(opened: OpenedFit, adopt: Path, force: bool) -> None:

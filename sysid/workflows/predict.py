@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,11 +21,21 @@ from sysid.fit.trial import Prediction
 from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
 from sysid.trust.assessment import leave_one_out, linearize
-from sysid.trust.documents import CROSS_VALIDATION, JudgedTrial, free_part, validation_part, write_part
+from sysid.trust.documents import (
+    Arrays,
+    CrossValidationDocument,
+    JudgedTrial,
+    LeftOutTrial,
+    ValidatedTrial,
+    ValidationDocument,
+    free_part,
+    validation_part,
+    write_part,
+)
 from sysid.trust.influence import standing_out
 from sysid.trust.problem import spread_over
 from sysid.trust.validation import judge, judgement
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 from sysid.workflows.kinds import naming_campaign, open_campaign
 from sysid.workflows.provenance import stated_campaign
 from sysid.workflows.reopen import open_fit
@@ -136,7 +145,7 @@ def predicted_fit(fit: FitResult, path: Path) -> FitResult:
 
 def validate_fit(
     folder: Path, campaign_path: Path, *, threads: int | None = None, say: Say = None
-) -> dict[str, Any]:
+) -> ValidationDocument:
     """Score a fit on the trials of a campaign that it was not fitted to, and store that in its folder.
 
     The campaign is any of the same kind; of the one that was fitted, the trials of use "validate" serve.
@@ -158,34 +167,25 @@ def validate_fit(
         _notice_unlike(judged, kind.words)
         stated = stated_campaign(problem.campaign.source, folder)
         more = problem.beyond(predicted.rows)
-        whole_document = _document(journal, result, stated, judged, more)
+        document = ValidationDocument(
+            part=free_part(folder, validation_part(problem.campaign.name), stated),
+            fit=result.name,
+            kind=result.kind,
+            campaign=stated,
+            **judgement(judged, float(result.nrmse[0])),
+            trials=[ValidatedTrial(**vars(trial), **row) for trial, row in zip(judged, more, strict=True)],
+            warnings=journal.sentences(),
+        )
     units = ", ".join(result.channel_units)
-    arrays: dict[str, tuple[Any, str, str]] = {}
+    arrays: dict[str, tuple[FloatArray | BoolArray, str, str]] = {}
     for number, (trial, signals) in enumerate(zip(problem.trials, predicted.scored.signals, strict=True), 1):
         root = f"trials/{number}"
         arrays[f"{root}/time"] = (trial.time, "sample", "s")
         arrays[f"{root}/measured"] = (trial.measured, "sample, channel", units)
         arrays[f"{root}/valid"] = (trial.valid, "sample, channel", "1")
         arrays[f"{root}/simulated"] = (signals, "set, sample, channel", units)
-    part = free_part(folder, validation_part(problem.campaign.name), stated)
-    write_part(folder, part, whole_document, arrays, fit=result.name, kind=result.kind)
-    return whole_document
-
-
-def _document(
-    journal: Journal,
-    result: FitResult,
-    stated: dict[str, str],
-    judged: list[JudgedTrial],
-    more: list[dict[str, Any]],
-) -> dict[str, Any]:
-    """Return the document of predicted trials, with `more` of each."""
-    return {
-        "campaign": stated,
-        **judgement(judged, float(result.nrmse[0])),
-        "trials": [vars(trial) | row for trial, row in zip(judged, more, strict=True)],
-        "warnings": journal.sentences(),
-    }
+    write_part(folder, document, arrays)
+    return document
 
 
 def _notice_unlike(judged: list[JudgedTrial], words: Words) -> None:
@@ -221,7 +221,7 @@ def cross_validate(
     threads: int | None = None,
     dask: str | None = None,
     say: Say = None,
-) -> dict[str, Any]:
+) -> CrossValidationDocument:
     """Leave out each fitted trial in turn, fit the rest from the best set on, predict the trial left out.
 
     Raises `FitError` when fewer than two trials were fitted.
@@ -246,9 +246,17 @@ def cross_validate(
         predicted = predict(result, opened.whole.only(problem.names), values)
         floor = predicted.problem.floor_by_channel(space.full(linear.point[None])[0])
         judged = [predicted.judge(t, slice(t, t + 1), floor) for t in range(len(problem.trials))]
-        stated = opened.stated
-        more = [{"refit": dict(zip(space.names, refit, strict=True))} for refit in decoded.tolist()]
-        whole_document = _document(journal, result, stated, judged, more)
-    arrays = {"values": (decoded, "trial left out, free parameter", "SI")}
-    write_part(opened.folder, CROSS_VALIDATION, whole_document, arrays, fit=result.name, kind=result.kind)
-    return whole_document
+        document = CrossValidationDocument(
+            fit=result.name,
+            kind=result.kind,
+            campaign=opened.stated,
+            **judgement(judged, float(result.nrmse[0])),
+            trials=[
+                LeftOutTrial(**vars(trial), refit=dict(zip(space.names, refit, strict=True)))
+                for trial, refit in zip(judged, decoded.tolist(), strict=True)
+            ],
+            warnings=journal.sentences(),
+        )
+    arrays: Arrays = {"values": (decoded, "trial left out, free parameter", "SI")}
+    write_part(opened.folder, document, arrays)
+    return document

@@ -14,6 +14,7 @@ from typing import Any
 from sysid import __version__, exact_json
 from sysid.campaign.common import CampaignSource
 from sysid.fit.problem import Problem
+from sysid.fit.provenance import CampaignFile
 from sysid.fit.search import FINISH_POPULATION
 from sysid.fit.settings import SearchSettings
 
@@ -77,7 +78,7 @@ def provenance(settings: SearchSettings, problem: Problem, folder: Path) -> dict
     }
 
 
-def stated_campaign(source: CampaignSource, folder: Path) -> dict[str, str]:
+def stated_campaign(source: CampaignSource, folder: Path) -> CampaignFile:
     """Return what the documents of a fit folder state of a campaign file, as it was read."""
     place = seen_from(folder, source.path)
     return {"file": source.path.name, "sha256": source.sha256, "from_fit_folder": place}

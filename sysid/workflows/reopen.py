@@ -9,6 +9,7 @@ from pathlib import Path
 from sysid.errors import FitError
 from sysid.fit.kind import Kind, Term
 from sysid.fit.problem import Problem
+from sysid.fit.provenance import CampaignFile
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import notice
@@ -56,7 +57,7 @@ class OpenedFit:
         return self.whole.fitted.exact
 
     @property
-    def stated(self) -> dict[str, str]:
+    def stated(self) -> CampaignFile:
         """Name and hash of the campaign file as it was read."""
         return {"file": self.path.name, "sha256": self.whole.campaign.source.sha256}
 

@@ -81,8 +81,8 @@ def _band(report: FitReport, names: Sequence[str], problem: Any) -> dict[str, tu
         return {}
     arrays, fit = documents.read_arrays(report.folder, documents.TRUST), report.fit
     ends = []
-    for row in report.trust["parameters"]:
-        path = f"profiles/{row['name']}"
+    for row in report.trust.parameters:
+        path = f"profiles/{row.name}"
         if f"{path}/others" not in arrays:
             continue
         deviance, others = arrays[f"{path}/deviance"], arrays[f"{path}/others"]

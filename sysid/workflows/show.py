@@ -19,7 +19,7 @@ from sysid.report.set_tables import (
     ranked_table,
     trial_table,
 )
-from sysid.trust.documents import LADDER, read_part, with_intervals
+from sysid.trust.documents import LadderDocument, with_intervals
 
 
 def load_sets(path: str | Path) -> ParameterSets:
@@ -45,7 +45,7 @@ def print_sets(source: str | Path, json: bool) -> None:
     _print_tables(sets)
     path = Path(source)
     folder = fit_folder(path) if path.is_dir() or path.name == "fit.h5" else None
-    if folder is not None and (climbed := read_part(folder, LADDER)):
+    if folder is not None and (climbed := LadderDocument.read(folder)):
         print_lines([f"ladder: {conclusion(climbed)[0]}; all of it: sysid report {folder}"])
 
 

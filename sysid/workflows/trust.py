@@ -19,7 +19,7 @@ from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import Parameter, SearchSpace, about, in_words
 from sysid.trust.assessment import FEWEST, Assessment, assess
-from sysid.trust.documents import TRUST, stating_intervals, write_part
+from sysid.trust.documents import Arrays, TrustDocument, stating_intervals, write_part
 from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
 from sysid.trust.problem import spread_over
@@ -43,8 +43,8 @@ _MOVED = 2.0
 
 def assess_fit(
     folder: Path, options: TrustOptions | None = None, say: Say = None, heard: Iterable[str] = ()
-) -> dict[str, Any]:
-    """Assess a fit and store the result in its folder; return the document of `sysid.trust.documents`.
+) -> TrustDocument:
+    """Assess a fit and store the result in its folder; return its document.
 
     Warnings that were `heard` are not said again.
 
@@ -88,14 +88,13 @@ def assess_fit(
             _doubt(row, "the model does not explain the trials")
         for finding in _doubts(opened.space.free, rows, assessed, opened.result.cube[0]):
             journal.add(finding)
-        document, arrays = _document(opened, assessed, trials, floors, rows)
-        document["warnings"] = journal.sentences()
-        document["seconds"] = time.perf_counter() - began
+        content, arrays = _document(opened, assessed, trials, floors, rows)
+        document = TrustDocument(
+            fit=opened.result.name, kind=opened.result.kind, warnings=journal.sentences(),
+            seconds=time.perf_counter() - began, **content,
+        )  # fmt: skip
     # No value leaves without its interval.
-    write_part(
-        opened.folder, TRUST, document, arrays, fit=opened.result.name, kind=opened.result.kind,
-        beside=fit_texts(stating_intervals(opened.result, document)),
-    )  # fmt: skip
+    write_part(opened.folder, document, arrays, fit_texts(stating_intervals(opened.result, document)))
     return document
 
 
@@ -128,11 +127,11 @@ def _doubts(
 
 def _document(
     opened: OpenedFit, assessed: Assessment, trials: Influence, floors: FloatArray, rows: list[dict[str, Any]]
-) -> tuple[dict[str, Any], dict[str, tuple[Any, str, str]]]:
+) -> tuple[dict[str, Any], Arrays]:
     result, space, linear = opened.result, opened.space, assessed.linear
     boot = assessed.resampled
     without = space.decode(trials.without)
-    arrays: dict[str, tuple[Any, str, str]] = {
+    arrays: dict[str, tuple[FloatArray, str, str]] = {
         "correlation": (linear.information.correlation, "parameter, parameter", "1"),
         "covariance": (linear.information.covariance, "parameter, parameter", "1, unit cube"),
     }
@@ -144,7 +143,7 @@ def _document(
     if boot is not None:
         arrays["bootstrap/values"] = (space.decode(boot.points), "resample, free parameter", "SI")
     document = {
-        "adequacy": assessed.adequacy.model_dump(),
+        "adequacy": assessed.adequacy,
         "campaign": opened.stated,
         "parameters": rows,
         "correlation": linear.information.correlation,
@@ -283,7 +282,7 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
                 "verdict": word,
                 "doubt": None,
                 "expected_half_width": float(linear.half_widths[i]),
-                "partners": [partner.model_dump() for partner in partners[i]],
+                "partners": partners[i],
                 "at_bound": int(result.at_bound[0, index[row.name]]),
                 "measured": None if record.measured_range is None else list(record.measured_range),
                 "bootstrap_95": quantiles,

@@ -10,7 +10,7 @@ from sysid.fit.adequacy import adequacy
 from sysid.motor.static_curves import NoLoadTie
 from sysid.synthetic import synthesize_motor
 from sysid.synthetic.motor import TRIALS
-from sysid.trust.documents import LADDER, read_part
+from sysid.trust.documents import LadderDocument
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.options import FitOptions
 
@@ -36,16 +36,16 @@ def test_a_supply_that_sags_is_not_explained_and_then_found(sagging, tmp_path, r
     picture = tmp_path / "rungs.png"
     code, shown, err = run("ladder", folder, "--adopt", target, "--figure", picture, "--quiet")
     assert (code, picture.is_file()) == (0, True), err
-    document = read_part(folder, LADDER)
-    assert document["keep"] == ["supply sags"]
-    kept = document["together"][0]["values"]
+    document = LadderDocument.read(folder)
+    assert document.keep == ["supply sags"]
+    kept = document.together[0].values
     # A bench of 6 s tells R and R_s to some percent.
     assert kept["supply_resistance"] == pytest.approx(0.06, rel=0.1)
     assert kept["winding_resistance"] == pytest.approx(0.299, rel=0.02)
-    assert document["together"][0]["over_noise"] < 1.15
+    assert document.together[0].over_noise < 1.15
     # Parts of the two trials were left out; neither simpler model serves.
-    assert len(document["trials"]) >= 10
-    assert {rung["terms"][0]: rung["kept"] for rung in document["simpler"]} == {
+    assert len(document.trials) >= 10
+    assert {rung.terms[0]: rung.kept for rung in document.simpler} == {
         "first-order lag": True, "without L": True,
     }  # fmt: skip
     assert "each part of a trial as" in " ".join(shown.split())

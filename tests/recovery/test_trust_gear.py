@@ -8,7 +8,6 @@ import pytest
 
 from fakes.gear_campaigns import on_board
 from fakes.places import SAMPLES
-from sysid import exact_json
 from sysid.campaign import read_campaign
 from sysid.errors import FitError
 from sysid.gear.beyond_window import centre_of_mass, turning_point
@@ -18,7 +17,7 @@ from sysid.gear.starts import compared_noise, start_roots
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.synthetic.gear import DropPlan
 from sysid.trust.assessment import leave_one_out, linearize
-from sysid.trust.documents import TRUST, parts, read_arrays, read_part
+from sysid.trust.documents import TRUST, TrustDocument, ValidationDocument, parts, read_arrays
 from sysid.trust.influence import influence
 from sysid.trust.problem import nrmse_of
 from sysid.trust.sensitivity import quick_expectations
@@ -151,33 +150,33 @@ def test_a_tumbling_body_tells_its_centre_of_mass(lf):
 def test_trust_is_stored_and_holds_the_truth(fit, lf):
     problem = lf[2]
     document = assess_fit(fit, TrustOptions(resamples=10))
-    rows = {row["name"]: row for row in document["parameters"]}
+    rows = document.by_name
     assert parts(fit) == (TRUST,)
-    again = read_part(fit, TRUST)
+    again = TrustDocument.read(fit)
     assert again is not None
-    assert again["parameters"] == exact_json.plain(document["parameters"])
-    assert rows["ground_damping"]["verdict"] == "not_identifiable"
-    assert rows["ground_damping"]["open_95"] == [True, True]
+    assert again.parameters == document.parameters
+    assert rows["ground_damping"].verdict == "not_identifiable"
+    assert rows["ground_damping"].open_95 == [True, True]
     true = dict(zip(problem.space.names, problem.space.decode(_truth(problem)), strict=True))
     for name, row in rows.items():
-        low, high = row["interval_95"]
+        low, high = row.interval_95
         # Seven intervals of 95 %: one may miss the truth by a little.
         assert low - (high - low) / 2 < true[name] < high + (high - low) / 2
-        assert row["verdict"] in VERDICTS
-        assert low <= row["refined"] <= high
+        assert row.verdict in VERDICTS
+        assert low <= row.refined <= high
     arrays = read_arrays(fit, TRUST)
     deviance = arrays["profiles/joint_dx/deviance"]
     assert deviance.min() == 0.0
     assert deviance[0] > 3.84 < deviance[-1]
     assert np.all(np.diff(arrays["profiles/joint_dx/value"]) > 0)
     assert arrays["bootstrap/values"].shape == (10, 8)
-    assert len(document["spread"]["trials"]) == 4
+    assert len(document.spread.trials) == 4
     # A new fit, and what was known of the old one is not taken for it.
     changed = fit / "fit.h5"
     whole = changed.read_bytes()
     try:
         changed.write_bytes(whole + b"x")
-        assert read_part(fit, TRUST) is None
+        assert TrustDocument.read(fit) is None
     finally:
         changed.write_bytes(whole)
 
@@ -185,13 +184,13 @@ def test_trust_is_stored_and_holds_the_truth(fit, lf):
 def test_validation_takes_the_trials_that_were_not_fitted(fit):
     found = validate_fit(fit, LF)
     # By the logs' content: drops 1, 3 and 5 were fitted under another campaign file.
-    assert [one["name"] for one in found["trials"]] == [f"drop-{i}" for i in (2, 4, 6, 7, 8)]
-    row = found["trials"][0]
-    assert set(row["by_channel"]) == {"x_B", "z_B", "x_B_rate", "z_B_rate", "q_B"}
-    assert row["third_contact"] > 0.05
-    assert row["nrmse_third_contact"] > 0
+    assert [one.name for one in found.trials] == [f"drop-{i}" for i in (2, 4, 6, 7, 8)]
+    row = found.trials[0]
+    assert set(row.by_channel) == {"x_B", "z_B", "x_B_rate", "z_B_rate", "q_B"}
+    assert row.third_contact > 0.05
+    assert row.nrmse_third_contact > 0
     assert row["stop"]["place"]["sigma"] < 0.05
-    assert read_part(fit, "validation-synthetic-lf")["flagged"] is found["flagged"]
+    assert ValidationDocument.read(fit, "validation-synthetic-lf").flagged is found.flagged
     assert read_arrays(fit, "validation-synthetic-lf")["trials/1/simulated"].shape[0] == 2
 
 
@@ -229,10 +228,10 @@ def test_campaigns_without_unseen_trials_or_file_are_refused(fit, three, tmp_pat
 @pytest.mark.slow
 def test_leaving_drops_out_predicts_them(fit):
     found = cross_validate(fit)
-    assert [one["name"] for one in found["trials"]] == ["drop-1", "drop-3", "drop-5"]
+    assert [one.name for one in found.trials] == ["drop-1", "drop-3", "drop-5"]
     # The right model, but two drops to fit it: what they leave open adds to the noise.
-    assert 0.9 < found["ratio"] < 2.0
-    assert len(found["trials"][0]["refit"]) == 8
+    assert 0.9 < found.ratio < 2.0
+    assert len(found.trials[0].refit) == 8
 
 
 def _plan(slope_deg, speed):
@@ -244,20 +243,20 @@ def test_level_drops_name_what_they_cannot_fix_and_the_drop_that_does(tmp_path):
     drops = [_plan(0, 0.4), _plan(0, 0.6), _plan(0, 0.8)]
     before = check_campaign(synthesize_gear(tmp_path / "a", seed=7, drops=drops) / "campaign.toml")
     rank = {word: i for i, word in enumerate(VERDICTS)}
-    old = {row["name"]: row for row in before["parameters"]}
-    named = [s for s in before["sentences"] if s.startswith("to determine ")]
-    assert old["leg_bending_stiffness"]["verdict"] == "not_identifiable"
+    old = {row.name: row for row in before.parameters}
+    named = [s for s in before.sentences if s.startswith("to determine ")]
+    assert old["leg_bending_stiffness"].verdict == "not_identifiable"
     assert any("k_t" in sentence for sentence in named)
-    first = before["candidates"][0]["title"]
+    first = before.candidates[0].title
     slope, speed = map(float, re.fullmatch(r"a drop on ([\d.]+) deg at ([\d.]+) m/s", first).groups())
     added = [*drops, _plan(slope, speed)]
     after = check_campaign(synthesize_gear(tmp_path / "b", seed=7, drops=added) / "campaign.toml")
-    new = {row["name"]: row for row in after["parameters"]}
-    promised = before["candidates"][0]["verdicts"]
+    new = {row.name: row for row in after.parameters}
+    promised = before.candidates[0].verdicts
     for name in ("joint_dx", "joint_dz", "leg_bending_stiffness", "leg_bending_damping"):
-        assert rank[promised[name]] < rank[old[name]["verdict"]]
-        assert rank[new[name]["verdict"]] < rank[old[name]["verdict"]]
-    assert new["ground_damping"]["verdict"] == "not_identifiable"
+        assert rank[promised[name]] < rank[old[name].verdict]
+        assert rank[new[name].verdict] < rank[old[name].verdict]
+    assert new["ground_damping"].verdict == "not_identifiable"
 
 
 @pytest.mark.slow
@@ -275,13 +274,13 @@ def test_a_wrong_model_is_flagged_by_its_ratio_to_the_noise(case, tmp_path):
     options = FitOptions(out=tmp_path / "fit", runs=1, quiet=True, check=False, trust=False)
     _, folder = fit_gear(path, options, surface=law)
     found = validate_fit(folder, path)
-    assert found["flagged"] is (case != "right")
+    assert found.flagged is (case != "right")
     if case == "right":
         # Noise and the uncertainty of the parameters.
-        assert found["ratio"] < 1.2
+        assert found.ratio < 1.2
     else:
-        assert found["ratio"] > 1.5
-        assert "× what noise alone costs" in found["reasons"][0]
+        assert found.ratio > 1.5
+        assert "× what noise alone costs" in found.reasons[0]
 
 
 @pytest.mark.slow

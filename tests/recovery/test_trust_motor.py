@@ -81,11 +81,11 @@ def test_the_floor_of_a_bench_is_what_the_truth_scores(bench: Path) -> None:
 
 def test_the_right_motor_is_not_flagged(fit: Path, bench: Path) -> None:
     found = validate_fit(fit, bench)
-    assert [one["name"] for one in found["trials"]] == ["forward-2"]
-    assert found["flagged"] is False
+    assert [one.name for one in found.trials] == ["forward-2"]
+    assert found.flagged is False
     # Noise and the errors of the static curves explain it all, and are no more than a few times too wide.
-    assert 0.4 < found["ratio"] < 1.25
-    assert found["trials"][0]["leaves"] is None
+    assert 0.4 < found.ratio < 1.25
+    assert found.trials[0].leaves is None
 
 
 @pytest.mark.parametrize("case", ["inertia", "unconverged"])
@@ -96,26 +96,26 @@ def test_a_wrong_motor_is_flagged_however_well_it_fits_itself(
     path = _edited(bench, bench.with_name(f"{case}.toml"), "2.7e-05 kg", inertia)
     folder = _fit(path, tmp_path / "wrong", 2 if case == "unconverged" else 8)
     found = validate_fit(folder, path)
-    assert found["flagged"] is True
+    assert found.flagged is True
     # The fit's own residual would be the floor of nothing: it is as wrong.
-    assert found["ratio"] > 3.0
-    assert found["trials"][0]["nrmse"][0] < 4.0 * found["nrmse_fitted"]
-    leaves = found["trials"][0]["leaves"]
+    assert found.ratio > 3.0
+    assert found.trials[0].nrmse[0] < 4.0 * found.nrmse_fitted
+    leaves = found.trials[0].leaves
     assert leaves is not None
     if case == "unconverged":
         # Its best set is not where its own sum of squares is least: no digit of it is well known.
-        rows = {row["name"]: row for row in assess_fit(folder, TrustOptions(resamples=0))["parameters"]}
-        assert "not where the sum of squares is least" in rows["winding_resistance"]["doubt"]
-        assert rows["winding_resistance"]["verdict"] != "well"
+        rows = assess_fit(folder, TrustOptions(resamples=0)).by_name
+        assert "not where the sum of squares is least" in rows["winding_resistance"].doubt
+        assert rows["winding_resistance"].verdict != "well"
         document, sets = compare_fits([folder, fit])
-        resistance = next(one for one in document["differences"] if one["parameter"] == "winding_resistance")
-        assert resistance["differs"] is None
+        resistance = next(one for one in document.differences if one.parameter == "winding_resistance")
+        assert resistance.differs is None
         # One campaign's name twice; the columns are told apart by their folders.
         assert len({one.name for one in sets}) == 2
     table = validation_table("fit", found)
     assert "leaves the noise at" in [column.header for column in table.columns]
     if case == "inertia":
-        assert cross_validate(folder)["flagged"] is True
+        assert cross_validate(folder).flagged is True
 
 
 def test_what_a_fit_held_predicts_another_campaign(fit: Path, bench: Path, tmp_path: Path) -> None:
@@ -134,24 +134,24 @@ def test_what_a_fit_held_predicts_another_campaign(fit: Path, bench: Path, tmp_p
         # What the fit has found is its own, what the other campaign has measured is the campaign's.
         assert row["winding_resistance"] == result.parameter_sets().set_values()["winding_resistance"]
         assert row["torque_quadratic_forward"] == problem.stated["torque_quadratic_forward"]
-    table = np.asarray(compare_fits([fit, tmp_path / "held"])[0]["cross"])
+    table = np.asarray(compare_fits([fit, tmp_path / "held"])[0].cross)
     # L a hundred times too small beside a right one: the one whose L it is predicts worse on both.
     assert table[1, 0] > 1.05 * table[0, 0]
 
 
 def test_trust_on_a_motor_holds_the_truth_and_says_what_it_takes_as_known(fit: Path, bench: Path) -> None:
     found = assess_fit(fit, TrustOptions(resamples=5))
-    rows = {row["name"]: row for row in found["parameters"]}
-    assert rows["viscous_damping"]["verdict"] == "not_identifiable"
-    low, high = rows["winding_resistance"]["interval_95"]
+    rows = {row.name: row for row in found.parameters}
+    assert rows["viscous_damping"].verdict == "not_identifiable"
+    low, high = rows["winding_resistance"].interval_95
     # One interval of 95 %: outside by half its half-width happens in 0.3 %.
     assert low - (high - low) / 4 < 0.299 < high + (high - low) / 4
-    for channel in found["noise"]["channels"]:
-        assert 0.4 < channel["residual"] / channel["floor"] < 1.25
-    assert [one["name"] for one in found["trials"]] == ["forward-1", "reverse-1"]
-    assert "given Kv as stated (R and L go as k²) and I^r as stated" in found["noise"]["statement"]
-    assert found["bootstrap"] is None
-    assert any("two trials" in one for one in found["notes"])
+    for channel in found.noise.channels:
+        assert 0.4 < channel.residual / channel.floor < 1.25
+    assert [one.name for one in found.trials] == ["forward-1", "reverse-1"]
+    assert "given Kv as stated (R and L go as k²) and I^r as stated" in found.noise.statement
+    assert found.bootstrap is None
+    assert any("two trials" in one for one in found.notes)
 
 
 def test_a_stated_range_of_kv_widens_what_is_known_of_the_resistance(bench: Path) -> None:
@@ -159,8 +159,7 @@ def test_a_stated_range_of_kv_widens_what_is_known_of_the_resistance(bench: Path
     ranged = _edited(bench, bench.with_name("ranged.toml"), "[fit]", f"[parameters]\n{wide}\n\n[fit]")
     found = [check_campaign(path) for path in (bench, ranged)]
     narrow, wide_one = (
-        next(row for row in one["parameters"] if row["name"] == "winding_resistance")["half_width"]
-        for one in found
+        next(row for row in one.parameters if row.name == "winding_resistance").half_width for one in found
     )
     # R goes as k²: uniform over ± 1 % is 0.58 % of k, 1.15 % of R, 95 % half-width 2.3 %.
     assert narrow < 0.005
@@ -169,20 +168,20 @@ def test_a_stated_range_of_kv_widens_what_is_known_of_the_resistance(bench: Path
 
 def test_check_on_a_motor_says_what_to_record_next(bench: Path) -> None:
     found = check_campaign(bench)
-    rows = {row["name"]: row for row in found["parameters"]}
-    assert rows["viscous_damping"]["verdict"] == "not_identifiable"
-    assert rows["winding_resistance"]["verdict"] == "well"
+    rows = {row.name: row for row in found.parameters}
+    assert rows["viscous_damping"].verdict == "not_identifiable"
+    assert rows["winding_resistance"].verdict == "well"
     # Well at the defaults; over the bounds, where the truth may be, a tenth stays open: the worse one counts.
     inductance = rows["winding_inductance"]
-    assert inductance["half_width"] < 0.01 < 0.1 < inductance["half_width_over_bounds"] < 0.5
-    assert inductance["verdict"] == "weakly"
-    assert any(re.search("coasts down", one) for one in found["sentences"])
+    assert inductance.half_width < 0.01 < 0.1 < inductance.half_width_over_bounds < 0.5
+    assert inductance.verdict == "weakly"
+    assert any(re.search("coasts down", one) for one in found.sentences)
     # More of the same averages noise, not the one torque curve that all trials share: nothing is lifted.
-    assert "no single trial of its kind within the lab's reach determines k_d" in found["sentences"]
-    assert not [one for one in found["sentences"] if one.startswith("record next")]
-    gains = [one["gain"] for one in found["candidates"]]
+    assert "no single trial of its kind within the lab's reach determines k_d" in found.sentences
+    assert not [one for one in found.sentences if one.startswith("record next")]
+    gains = [one.gain for one in found.candidates]
     assert gains == sorted(gains, reverse=True)
-    assert [row["name"] for row in found["quality"]] == ["forward-1", "reverse-1", "forward-2"]
+    assert [row["name"] for row in found.quality] == ["forward-1", "reverse-1", "forward-2"]
 
 
 @pytest.mark.slow
@@ -197,16 +196,16 @@ def test_the_trial_that_is_suggested_fixes_what_it_promises(tmp_path: Path) -> N
         # Over the default bounds of L, from 10 µH on, no bench log determines it.
         bounds = '[parameters]\nbounds = { winding_inductance = ["0.001 H", "0.01 H"] }\n\n[fit]'
         found.append(check_campaign(_edited(path, path.with_name("bounded.toml"), "[fit]", bounds)))
-    before, after = ({row["name"]: row for row in one["parameters"]} for one in found)
-    steps = next(one for one in found[0]["candidates"] if one["title"] == _TITLE)
+    before, after = ({row.name: row for row in one.parameters} for one in found)
+    steps = next(one for one in found[0].candidates if one.title == _TITLE)
     lifted = [n for n in ("winding_resistance", "winding_inductance")
-              if steps["verdicts"][n] != before[n]["verdict"]]  # fmt: skip
+              if steps.verdicts[n] != before[n].verdict]  # fmt: skip
     assert "winding_inductance" in lifted
     for name in lifted:
-        assert after[name]["verdict"] == steps["verdicts"][name]
+        assert after[name].verdict == steps.verdicts[name]
         # Its own delay and the noise of another draw: the same within a third.
-        assert after[name]["half_width"] == pytest.approx(steps["half_widths"][name], rel=0.35)
-    assert after["viscous_damping"]["verdict"] == "not_identifiable"
+        assert after[name].half_width == pytest.approx(steps.half_widths[name], rel=0.35)
+    assert after["viscous_damping"].verdict == "not_identifiable"
 
 
 @pytest.mark.slow

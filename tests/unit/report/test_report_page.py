@@ -33,6 +33,7 @@ from sysid.report.plots import Curve, Panel, View, interactive
 from sysid.report.snapshots import figure_snapshots
 from sysid.report.table import Cell, table, words
 from sysid.report.trust_tables import interval_table, narrow_table
+from sysid.trust.documents import FreeParameter, TrustDocument
 from sysid.workflows.report import open_report
 
 NASTY = "</script><img src=x onerror=alert(1)>"
@@ -533,13 +534,14 @@ def test_a_parameter_that_scores_equally_far_apart_is_open(tmp_path):
 
 
 def test_open_intervals_are_shown_as_open():
-    row = {
-        "name": "ground_damping", "symbol": "b_s", "unit": "N·s/m", "value": 2.0, "mean": 2.0, "sigma": 1.0,
-        "interval_68": [0.001, 5.0], "open_68": [True, False], "interval_95": [0.001, 10.0],
-        "open_95": [True, True], "verdict": "not_identifiable", "at_bound": 0, "measured": None,
-        "half_width": float("inf"), "bootstrap_95": None, "refined": 2.0, "fisher_sigma": 1.0, "doubt": None,
-    }  # fmt: skip
-    wide, narrow = (make({"parameters": [row]}) for make in (interval_table, narrow_table))
+    row = FreeParameter.model_construct(
+        name="ground_damping", symbol="b_s", unit="N·s/m", value=2.0, mean=2.0, sigma=1.0,
+        interval_68=[0.001, 5.0], open_68=[True, False], interval_95=[0.001, 10.0], open_95=[True, True],
+        verdict="not_identifiable", at_bound=0, measured=None, half_width=float("inf"), bootstrap_95=None,
+        refined=2.0, fisher_sigma=1.0, doubt=None, partners=[],
+    )  # fmt: skip
+    document = TrustDocument.model_construct(parameters=[row])
+    wide, narrow = interval_table(document), narrow_table(document)
     assert [cell.text for cell in wide.rows[0][3:5]] == ["open", "open"]
     assert [cell.text for cell in narrow.rows[0][1:4]] == ["—", "≤ 5", "—"]
     assert wide.rows[0][5] == Cell("not identifiable", "bad")

@@ -15,6 +15,17 @@ from sysid.report.trust_tables import (
     noise_table,
     validation_table,
 )
+from sysid.trust.comparison import Comparison, Difference
+from sysid.trust.documents import (
+    ChannelNoise,
+    CheckDocument,
+    ExpectedParameter,
+    Noise,
+    Partner,
+    TrustDocument,
+    ValidatedTrial,
+    ValidationDocument,
+)
 from sysid.trust.influence import Influence
 from sysid.workflows.kinds import find_kind
 from sysid.workflows.predict import _notice_unlike
@@ -73,40 +84,43 @@ def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
 
 
 def test_two_ratios_of_one_channel_say_what_parts_them():
-    channel = {"name": "x_B", "unit": "m", "residual": 1.19e-3, "floor": 1e-3, "samples": 9,
-               "independent_samples": 3.0}  # fmt: skip
-    shown = noise_table({"noise": {"channels": [channel]}})
+    channel = ChannelNoise(
+        name="x_B", unit="m", residual=1.19e-3, floor=1e-3, samples=9, independent_samples=3.0
+    )
+    noise = Noise(statement="", channels=[channel])
+    shown = noise_table(TrustDocument.model_construct(noise=noise))
     assert shown.title.endswith("with errors of known values")
     assert shown.rows[0][4].text == "1.19"
     assert "leaves out what errors of known values explain" in shown.caption
 
 
 def test_a_parameter_that_no_channel_sees_is_told_by_nothing():
-    rows = [
-        {"symbol": "R", "channels": {"z_B_rate": 0.3, "speed": 0.7}},
-        {"symbol": "k_d", "channels": {"torque": 0.0, "speed": float("nan")}},
-        {"symbol": "L", "channels": dict.fromkeys("abcdef", 1 / 6)},
-    ]
-    assert channel_line({"parameters": rows}) == "informed by: R: speed 70 %, ż_B 30 %; k_d: nothing; L: a"
+    shares = {
+        "R": {"z_B_rate": 0.3, "speed": 0.7},
+        "k_d": {"torque": 0.0, "speed": float("nan")},
+        "L": dict.fromkeys("abcdef", 1 / 6),
+    }
+    rows = [ExpectedParameter.model_construct(symbol=name, channels=of) for name, of in shares.items()]
+    line = channel_line(CheckDocument.model_construct(parameters=rows))
+    assert line == "informed by: R: speed 70 %, ż_B 30 %; k_d: nothing; L: a"
 
 
 def test_a_check_names_parameters_by_symbol():
-    row = {
-        "name": "joint_dz", "symbol": "dz_j", "unit": "m", "value": 0.02, "half_width": 0.1,
-        "half_width_over_bounds": 0.1, "effect": 1.0, "interaction": 0.1, "verdict": "well",
-        "partners": [{"name": "joint_dx", "correlation": 0.9}],
-    }  # fmt: skip
-    other = row | {"name": "joint_dx", "symbol": "dx_j", "partners": []}
-    shown = expected_table({"campaign": {"name": "c"}, "parameters": [row, other]})
+    row = ExpectedParameter.model_construct(
+        name="joint_dz", symbol="dz_j", unit="m", value=0.02, half_width=0.1, half_width_over_bounds=0.1,
+        effect=1.0, interaction=0.1, verdict="well", partners=[Partner(name="joint_dx", correlation=0.9)],
+    )  # fmt: skip
+    other = row.model_copy(update={"name": "joint_dx", "symbol": "dx_j", "partners": []})
+    shown = expected_table(CheckDocument.model_construct(campaign={"name": "c"}, parameters=[row, other]))
     assert shown.rows[0][-1].text == "dx_j +0.90"
 
 
 def test_a_difference_and_what_is_allowed_have_one_unit():
-    row = {
-        "symbol": "R", "unit": "Ω", "fits": ["a", "b"], "values": [0.2, 0.201], "difference": 0.005,
-        "allowed": 0.002, "by": "profile intervals", "differs": False,
-    }  # fmt: skip
-    shown = comparison_table({"differences": [row]})
+    row = Difference.model_construct(
+        symbol="R", unit="Ω", fits=["a", "b"], values=[0.2, 0.201], difference=0.005, allowed=0.002,
+        by="profile intervals", differs=False,
+    )  # fmt: skip
+    shown = comparison_table(Comparison.model_construct(differences=[row]))
     cells = {column.title: cell.text for column, cell in zip(shown.columns, shown.rows[0], strict=True)}
     assert (cells["difference [%]"], cells["allowed [%]"], cells["real"]) == ("0.5", "± 1.0", "no")
 
@@ -116,14 +130,18 @@ def test_a_second_log_is_said_by_its_clock():
         "log": "rpm.csv", "sha256": "0" * 64, "format": "tacho", "device": None, "aligned": "a with b",
         "offset": 0.12345678, "correlation": 0.99123456, "confidence": 0.87654321, "notes": ["one"],
     }  # fmt: skip
-    line = check_lines({"quality": [{"name": "forward-1", "second_log": second}], "excitation": {}})[0]
+    quality = [{"name": "forward-1", "second_log": second}]
+    line = check_lines(CheckDocument.model_construct(quality=quality, excitation={}))[0]
     assert line == "forward-1: second log rpm.csv: clock offset 0.1235 s, confidence 0.8765"
 
 
 def test_a_prediction_says_what_its_spread_is_of():
     """The ± of a stop is no noise: a stop beside it is not flagged."""
     stop = {key: {"measured": 0.657, "mean": 0.7014, "sigma": 0.0006} for key in ("place", "time")}
-    shown = validation_table("fit", {"trials": [{"name": "drop-7", "nrmse": [0.1], "stop": stop}]})
+    scores = dict.fromkeys(("floor", "ratio"), 1.0)
+    early = dict.fromkeys(("nrmse_third_contact", "ratio_third_contact", "third_contact", "leaves"))
+    trial = ValidatedTrial(name="drop-7", nrmse=[0.1], by_channel={}, **scores, **early, stop=stop)
+    shown = validation_table("fit", ValidationDocument.model_construct(trials=[trial], flagged=False))
     heads = [column.title for column in shown.columns]
     assert "stop time, measured [s]" in heads
     assert "stop place, predicted ± spread [m]" in heads

@@ -11,7 +11,16 @@ from sysid.errors import FitError
 from sysid.fit.trial import Trial
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
-from sysid.trust.documents import free_part, parts, read_arrays, read_part, validation_part, write_part
+from sysid.trust.documents import (
+    FreeParameter,
+    TrustDocument,
+    ValidationDocument,
+    free_part,
+    parts,
+    read_arrays,
+    validation_part,
+    write_part,
+)
 from sysid.trust.validation import LEAVES, judge, reasons
 
 CHANNELS = ("x_B", "z_B")
@@ -51,7 +60,9 @@ def test_the_true_model_scores_its_noise():
 
 def test_a_prediction_leaves_where_it_is_off_for_good():
     found = _judged(offset=1.0, contacts=np.array([3.05, 3.2, 3.9]))
-    assert found.leaves == {"time": pytest.approx(0.55), "channel": "z_B", "after_contacts": 2}
+    assert found.leaves.model_dump() == {
+        "time": pytest.approx(0.55), "channel": "z_B", "after_contacts": 2,
+    }  # fmt: skip
     assert "× what noise alone costs" in reasons([found])[0]
     # Just below five deviations it may not leave but by the noise's own help, three times in a row.
     assert _judged(offset=0.1 * (LEAVES - 3)).leaves is None
@@ -99,9 +110,10 @@ def _sets(name, value, sigma=0.1, status="free"):
 
 def _document(value, low, high, opened=(False, False), doubt=None):
     # The best set lies elsewhere than the minimum that its interval is around.
-    row = {"name": "leg_mass", "value": 5.0, "refined": value, "interval_95": [low, high],
-           "open_95": list(opened), "doubt": doubt}  # fmt: skip
-    return {"parameters": [row]}
+    row = FreeParameter.model_construct(
+        name="leg_mass", value=5.0, refined=value, interval_95=[low, high], open_95=opened, doubt=doubt
+    )
+    return TrustDocument.model_construct(parameters=[row])
 
 
 def _compare(first, second, documents):
@@ -120,10 +132,10 @@ def _compare(first, second, documents):
 )
 def test_differences_are_judged_by_the_sides_that_face_each_other(second, documents, allowed):
     found = _compare(1.0, second, documents)
-    assert found["allowed"] == pytest.approx(allowed)
-    first = documents[0]["parameters"][0]["refined"]
-    assert found["differs"] is (second - first > allowed)
-    assert found["difference"] == pytest.approx((second - first) / first)
+    assert found.allowed == pytest.approx(allowed)
+    first = documents[0].parameters[0].refined
+    assert found.differs is (second - first > allowed)
+    assert found.difference == pytest.approx((second - first) / first)
 
 
 @pytest.mark.parametrize(
@@ -135,10 +147,10 @@ def test_differences_are_judged_by_the_sides_that_face_each_other(second, docume
 )
 def test_an_open_or_doubtful_interval_judges_nothing(documents, doubt):
     found = _compare(1.0, 2.0, documents)
-    assert (found["differs"], found["doubt"]) == (None, doubt)
+    assert (found.differs, found.doubt) == (None, doubt)
     # The same difference of another parameter shares the sentence, another reason has its own.
-    more = [found, {**found, "symbol": "k_h"}, {**found, "symbol": "b_s", "doubt": "c: why"}]
-    assert unjudged([*more, {**found, "doubt": None}]) == [
+    others = ({"symbol": "k_h"}, {"symbol": "b_s", "doubt": "c: why"}, {"doubt": None})
+    assert unjudged([found, *(found.model_copy(update=other) for other in others)]) == [
         f"not judged: m_leg, k_h ({doubt})",
         "not judged: b_s (c: why)",
     ]
@@ -146,18 +158,19 @@ def test_an_open_or_doubtful_interval_judges_nothing(documents, doubt):
 
 def test_without_profiles_nothing_is_judged():
     found = _compare(1.0, 2.0, [None, None])
-    assert found["by"] == "spread of the sets"
+    assert found.by == "spread of the sets"
     # Far beyond the spread, which says only that the runs agree.
-    assert found["differs"] is None
-    assert "run sysid trust on a and b" in found["doubt"]
-    assert found["allowed"] == pytest.approx(1.959964 * 0.1 * math.sqrt(2), rel=1e-6)
+    assert found.differs is None
+    assert "run sysid trust on a and b" in found.doubt
+    assert found.allowed == pytest.approx(1.959964 * 0.1 * math.sqrt(2), rel=1e-6)
     fixed = compare_values(("a", "b"), [_sets("a", 1.0, status="fixed"), _sets("b", 2.0)], [None, None])
     assert fixed == []
 
 
 def _write(folder, part, arrays=None, **content):
     """A document of trust or of a validation that holds nothing else."""
-    campaign = {"campaign": {"file": "lab.toml", "sha256": 64 * "0"}, "warnings": []}
+    head = {"part": part, "fit": "f", "kind": "gear", "warnings": []}
+    head["campaign"] = {"file": "lab.toml", "sha256": 64 * "0"}
     judged = dict.fromkeys(("nrmse", "nrmse_fitted", "ratio", "ratio_third_contact"), math.nan)
     found = {"flagged": False, "reasons": [], "limits": {}, "trials": [], **judged}
     if part == "trust":
@@ -165,7 +178,8 @@ def _write(folder, part, arrays=None, **content):
         found = {"parameters": [], "correlation": [[1.0]], "noise": {"statement": "", "channels": []}}
         found |= {"trials": [], "notes": [], "spread": spread, "bootstrap": None}
         found |= {"evaluations": 0, "seconds": 0.0}
-    write_part(folder, part, campaign | found | content, arrays or {}, fit="f", kind="gear")
+    model = TrustDocument if part == "trust" else ValidationDocument
+    write_part(folder, model(**head | found | content), arrays or {})
 
 
 @pytest.fixture
@@ -179,14 +193,14 @@ def test_a_part_is_read_back_until_the_fit_changes(folder):
     assert part == "validation-my-campaign-2"
     arrays = {"trials/1/time": (np.arange(100.0), "sample", "s")}
     _write(folder, part, arrays)
-    found = read_part(folder, part)
-    assert math.isnan(found["ratio"])
-    assert found["fit_sha256"] == hashlib.sha256(b"a fit").hexdigest()
+    found = ValidationDocument.read(folder, part)
+    assert math.isnan(found.ratio)
+    assert found.fit_sha256 == hashlib.sha256(b"a fit").hexdigest()
     assert read_arrays(folder, part)["trials/1/time"] == pytest.approx(np.arange(100.0))
     assert parts(folder) == (part,)
     (folder / "fit.h5").write_bytes(b"another fit")
-    assert read_part(folder, part) is None
-    assert read_part(folder, "trust") is None
+    assert ValidationDocument.read(folder, part) is None
+    assert TrustDocument.read(folder) is None
 
 
 def _file(path, letter):
@@ -225,10 +239,10 @@ def test_damaged_parts_are_refused(folder):
     whole = path.read_text(encoding="utf-8")
     path.write_text(whole[: len(whole) // 2], encoding="utf-8")
     with pytest.raises(FitError, match="damaged or cut off"):
-        read_part(folder, "trust")
+        TrustDocument.read(folder)
     path.write_text(exact_json.dumps({**exact_json.loads(whole), "version": 99}), encoding="utf-8")
     with pytest.raises(FitError, match="of version 99, expected 1"):
-        read_part(folder, "trust")
+        TrustDocument.read(folder)
     (folder / "trust.h5").write_bytes(b"no HDF5")
     with pytest.raises(FitError, match="damaged or cut off"):
         read_arrays(folder, "trust")

@@ -106,33 +106,33 @@ def test_every_verb_predicts_with_the_same_bits(campaigns):
     mass = result.parameter_sets().set_values()["body_mass"]
     assert mass != 2.0
     validated = validate_fit(first, other)
-    nrmse = [trial["nrmse"][0] for trial in validated["trials"]]
-    by_channel = [list(trial["by_channel"].values()) for trial in validated["trials"]]
+    nrmse = [trial.nrmse[0] for trial in validated.trials]
+    by_channel = [list(trial.by_channel.values()) for trial in validated.trials]
 
     against = predicted_fit(result, other)
     assert [trial.nrmse[0].tolist() for trial in against.trials] == by_channel
-    assert against.mean_nrmse("validate")[0] == validated["nrmse"]
+    assert against.mean_nrmse("validate")[0] == validated.nrmse
 
-    cross = compare_fits([first, second])[0]["cross"]
-    assert cross[0, 1] == np.mean(nrmse)
+    cross = compare_fits([first, second])[0].cross
+    assert cross[0][1] == np.mean(nrmse)
     # The fit's own mass predicts otherwise, far beyond rounding.
     freed = replace(result, parameters=tuple(replace(r, status="free") for r in result.parameters))
     write_fit(freed, campaigns / "freed")
-    assert validate_fit(campaigns / "freed", other)["nrmse"] != pytest.approx(validated["nrmse"], rel=1e-3)
+    assert validate_fit(campaigns / "freed", other).nrmse != pytest.approx(validated.nrmse, rel=1e-3)
 
     # Leaving a trial out and predicting it is validating the refit on it.
-    left_out = cross_validate(second)["trials"]
+    left_out = cross_validate(second).trials
     fitted = read_fit(second)
     column = {record.name: i for i, record in enumerate(fitted.parameters)}
     for t, trial in enumerate(left_out):
         values = fitted.values.copy()
-        for name, value in trial["refit"].items():
+        for name, value in trial.refit.items():
             values[:, column[name]] = value
         kept = tuple(
-            replace(one, use="validate" if one.name == trial["name"] else "fit") for one in fitted.trials
+            replace(one, use="validate" if one.name == trial.name else "fit") for one in fitted.trials
         )
         folder = write_fit(replace(fitted, values=values, trials=kept), campaigns / f"refit-{t}")
-        again = validate_fit(folder, other)["trials"]
-        assert [one["name"] for one in again] == [trial["name"]]
-        assert again[0]["nrmse"] == trial["nrmse"]
-        assert again[0]["by_channel"] == trial["by_channel"]
+        again = validate_fit(folder, other).trials
+        assert [one.name for one in again] == [trial.name]
+        assert again[0].nrmse == trial.nrmse
+        assert again[0].by_channel == trial.by_channel

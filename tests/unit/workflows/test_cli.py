@@ -25,6 +25,7 @@ from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.cli.adapter import command
 from sysid.fit.store import write_fit
+from sysid.trust.documents import Judgement
 
 
 def edit(path, old, new, count=1):
@@ -131,7 +132,7 @@ def test_new_campaign_writes_a_template(tmp_path, run, refused):
 def test_a_flagged_prediction_ends_with_code_3(verb, monkeypatch, tmp_path, run):
     for flagged in (True, False):
         for name in ("validate_fit", "cross_validate"):
-            document = {"flagged": flagged}
+            document = Judgement.model_construct(flagged=flagged)
             monkeypatch.setattr(f"sysid.workflows.predict.{name}", lambda *_, d=document, **__: d)
         more = (tmp_path / "campaign.toml",) if verb == "validate" else ()
         code, out, _ = run(verb, tmp_path, *more, "--json")

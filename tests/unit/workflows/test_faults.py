@@ -15,7 +15,7 @@ from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.store import read_fit
 from sysid.resume import BlockStore
 from sysid.storage import FileKind, write_file
-from sysid.trust.documents import TRUST, read_arrays, read_part
+from sysid.trust.documents import TRUST, TrustDocument, read_arrays
 from sysid.workflows import fit as workflow
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.landing_sources import compute_and_write
@@ -118,8 +118,8 @@ def test_every_write_of_a_fit_may_fail(campaign, replaced, kind):
 
 def texts(out):
     """The sets and the intervals of a fit as text, without clocks; None where it has no intervals."""
-    document = read_part(out, TRUST)
-    trust = document and {key: document[key] for key in ("parameters", "correlation", "noise", "trials")}
+    document = TrustDocument.read(out)
+    trust = document and document.model_dump(include={"parameters", "correlation", "noise", "trials"})
     arrays = document and {name: data.tobytes() for name, data in read_arrays(out, TRUST).items()}
     stated = json.loads((out / "fit.json").read_text(encoding="utf-8"))["settings"].get("intervals")
     summary = " 95 % " in (out / "summary.txt").read_text(encoding="utf-8")

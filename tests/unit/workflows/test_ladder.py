@@ -15,7 +15,7 @@ from sysid.errors import FitError
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY
 from sysid.fit.store import write_fit
 from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_table
-from sysid.trust.documents import LADDER, read_part, write_part
+from sysid.trust.documents import FreeParameter, LadderDocument, LadderRung, TrustDocument, write_part
 from sysid.workflows.fit import fit_campaign, fit_gear
 from sysid.workflows.ladder import with_free
 from sysid.workflows.options import FitOptions
@@ -40,18 +40,18 @@ def test_the_missing_term_is_kept_and_adopted(lag, run, tmp_path):
     target, picture = path.parent / "with-terms.toml", tmp_path / "rungs.svg"
     code, out, err = run("ladder", folder, "--adopt", target, "--figure", picture, "--quiet")
     assert code == 0, err
-    document = read_part(folder, LADDER)
-    assert document["keep"] == ["speed at rest"]
-    assert document["parameters"] == ["offset"]
-    base, kept = document["base"], document["alone"][0]
+    document = LadderDocument.read(folder)
+    assert document.keep == ["speed at rest"]
+    assert document.parameters == ["offset"]
+    base, kept = document.base, document.alone[0]
     # The logs state no noise, so a ratio counts in units of the assumed one.
-    assert base["over_noise"] > 1.5 * kept["over_noise"]
-    assert np.mean(kept["left_out"]) == pytest.approx(kept["over_noise"], rel=0.02)
+    assert base.over_noise > 1.5 * kept.over_noise
+    assert np.mean(kept.left_out) == pytest.approx(kept.over_noise, rel=0.02)
     # Of one channel the misfit is the NRMSE; the gain is what is seen to go.
-    np.testing.assert_allclose(kept["misfit"], kept["left_out"], rtol=1e-9)
-    assert kept["gain"] == pytest.approx(np.mean(np.log(base["misfit"]) - np.log(kept["misfit"])))
-    assert kept["values"]["offset"] == pytest.approx(0.2, abs=0.01)
-    assert kept["values"]["time_constant"] == pytest.approx(TRUE["time_constant"], rel=0.02)
+    np.testing.assert_allclose(kept.misfit, kept.left_out, rtol=1e-9)
+    assert kept.gain == pytest.approx(np.mean(np.log(base.misfit) - np.log(kept.misfit)))
+    assert kept.values["offset"] == pytest.approx(0.2, abs=0.01)
+    assert kept.values["time_constant"] == pytest.approx(TRUE["time_constant"], rel=0.02)
     # What is asked for next must not take the place of the fit that the ladder began with.
     assert "keep speed at rest" in out
     again = folder.with_name("fit-with-terms")
@@ -73,9 +73,9 @@ def test_a_right_model_is_kept_as_it_is(tmp_path, run):
     path, folder = fitted(tmp_path, names=NAMES)
     code, out, err = run("ladder", folder, "--out", path.parent / "nothing.toml", "--quiet")
     assert (code, err) == (0, "")
-    document = read_part(folder, LADDER)
-    assert document["keep"] == []
-    assert document["alone"][0]["chance"] > 0.05
+    document = LadderDocument.read(folder)
+    assert document.keep == []
+    assert document.alone[0].chance > 0.05
     assert "What is missing in the model" in out
     assert "nothing.toml was not written: no term is kept" in out.replace("\n", " ")
     assert not (path.parent / "nothing.toml").exists()
@@ -144,18 +144,18 @@ def test_a_text_in_which_another_thing_would_change_is_refused_with_the_line_to_
         with_free(text, ["x", "y"])
 
 
-def ladder_of(parts=False, keep=("slide rubs dry",), verdict=NOT_BY):
+def ladder_of(parts=False, keep=("slide rubs dry",), verdict=NOT_BY, chance=0.02, kind="gear"):
     """A ladder of two terms over a fit of one parameter, as if 7 trials had been left out."""
 
     def rung(*terms, misfit, gain=np.nan, chance=np.nan, **values):
-        return {
-            "terms": list(terms), "values": {"leg_axial_stiffness": 6000.0, "foot_dx": 0.2, **values},
-            "nrmse": 0.1, "over_noise": 1.4, "left_out": [1.4] * 7, "misfit": [misfit] * 7, "gain": gain,
-            "chance": chance, "kept": bool(terms) and terms == keep,
-        }  # fmt: skip
+        return LadderRung(
+            terms=list(terms), values={"leg_axial_stiffness": 6000.0, "foot_dx": 0.2, **values}, nrmse=0.1,
+            over_noise=1.4, left_out=[1.4] * 7, misfit=[misfit] * 7, gain=gain, chance=chance,
+            kept=bool(terms) and terms == keep,
+        )  # fmt: skip
 
     dry = rung(
-        "slide rubs dry", misfit=1.8, gain=np.log(2.4 / 1.8), chance=0.02, leg_slide_friction=0.2911,
+        "slide rubs dry", misfit=1.8, gain=np.log(2.4 / 1.8), chance=chance, leg_slide_friction=0.2911,
         leg_axial_stiffness=6300.0, foot_dx=0.9,
     )  # fmt: skip
     drag = rung("air damps pitch", misfit=2.4, gain=0.0, chance=0.7, pitch_drag=1e-4)
@@ -167,23 +167,25 @@ def ladder_of(parts=False, keep=("slide rubs dry",), verdict=NOT_BY):
             "trial_ratio": 2.0,
         },
     }  # fmt: skip
-    return {
-        "campaign": {"file": "c.toml", "sha256": ""}, "trials": [f"drop-{k}" for k in range(7)],
-        "parts": parts, "adequacy": judged, "base": rung(misfit=2.4), "alone": [drag, dry], "together": [dry],
-        "symbols": {
+    return LadderDocument(
+        fit="bench", kind=kind, campaign={"file": "c.toml", "sha256": ""},
+        trials=[f"drop-{k}" for k in range(7)], parts=parts, adequacy=judged, base=rung(misfit=2.4),
+        alone=[drag, dry], together=[dry],
+        symbols={
             "leg_axial_stiffness": "k_h", "foot_dx": "dx_f", "leg_slide_friction": "F_h", "pitch_drag": "c_q",
         },
-        "units": {
+        units={
             "leg_axial_stiffness": "N/m", "foot_dx": "m", "leg_slide_friction": "N", "pitch_drag": "N·m·s²",
         },
-        "simpler": [], "keep": list(keep), "parameters": ["leg_slide_friction"] * len(keep),
-        "evaluations": 10, "warnings": [], "seconds": 1.0,
-    }  # fmt: skip
+        keep=list(keep), parameters=["leg_slide_friction"] * len(keep), evaluations=10, warnings=[],
+        seconds=1.0,
+    )  # fmt: skip
 
 
 def test_terms_are_shown_by_what_judges_them_and_with_the_moves_that_mean_something():
     document = ladder_of()
-    trust = {"parameters": [{"name": "foot_dx", "verdict": "not_identifiable"}]}
+    lost = FreeParameter.model_construct(name="foot_dx", verdict="not_identifiable")
+    trust = TrustDocument.model_construct(parameters=[lost])
     rows = [[cell.text for cell in row] for row in rungs_table(document).rows]
     assert [row[0] for row in rows] == [
         "as fitted", "slide rubs dry", "air damps pitch", "kept: slide rubs dry",
@@ -196,16 +198,15 @@ def test_terms_are_shown_by_what_judges_them_and_with_the_moves_that_mean_someth
     bars = figure_rungs(document).axes[0].lines[0]
     np.testing.assert_allclose(bars.get_xdata(), 2.4)
     assert "each trial as" in rungs_table(document).caption
-    assert "each part of a trial as" in rungs_table({**document, "parts": True}).caption
+    assert "each part of a trial as" in rungs_table(ladder_of(parts=True)).caption
     # The kept term of this ladder is the one that was fitted alone; the other has a chance of its own.
     assert "beside the others" not in rungs_table(document).caption
-    beside = [{**document["together"][0], "chance": 1e-9}]
-    assert "beside the others" in rungs_table({**document, "together": beside}).caption
+    beside = [document.together[0].model_copy(update={"chance": 1e-9})]
+    assert "beside the others" in rungs_table(document.model_copy(update={"together": beside})).caption
 
 
 def test_a_conclusion_never_calls_a_wrong_model_right():
-    document = ladder_of(keep=())
-    document["together"][0]["chance"] = 0.2
+    document = ladder_of(keep=(), chance=0.2)
     said = conclusion(document)
     assert said[0] == (
         "7 trials cannot show which term is missing; the nearest is slide rubs dry, with a chance of 0.2 "
@@ -230,7 +231,7 @@ def test_a_report_shows_the_ladder_and_takes_it_for_no_validation(kind, tmp_path
     else:
         write_fit(made_fit(MOTOR), folder)
     assert f"run sysid ladder {folder}" in open_report(folder).section("What the model lacks").text
-    write_part(folder, LADDER, ladder_of(), {}, fit="bench", kind=kind)
+    write_part(folder, ladder_of(kind=kind), {})
     figures = tmp_path / "figures"
     code, _, err = run("report", folder, "--quiet", *(("--figure", figures) if kind == "motor" else ()))
     assert code == 0, err

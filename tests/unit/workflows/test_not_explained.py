@@ -9,7 +9,7 @@ from sysid.api import load_fit
 from sysid.errors import SysidWarning
 from sysid.fit import problem
 from sysid.trust import influence
-from sysid.trust.documents import TRUST, read_part
+from sysid.trust.documents import TrustDocument
 from sysid.workflows import fit as walk
 from sysid.workflows.export_models import export_sets
 from sysid.workflows.options import FitOptions
@@ -67,11 +67,9 @@ def test_not_explained_is_said_first_and_last_with_one_number(fit):
     (last,) = (line for line in done.printed if "not explained" in line)
     assert ": not explained, NRMSE " in last
     # The trust goes on from the best set to where the sum of squares is least, which has other numbers.
-    stated = read_part(done.folder, TRUST)
-    assert stated["adequacy"]["sentence"] != first.removeprefix("warning: ")
-    assert [line for line in stated["warnings"] if "not explained" in line] == [
-        first.removeprefix("warning: ")
-    ]
+    stated = TrustDocument.read(done.folder)
+    assert stated.adequacy.sentence != first.removeprefix("warning: ")
+    assert [line for line in stated.warnings if "not explained" in line] == [first.removeprefix("warning: ")]
     assert load_fit(done.folder).warnings == tuple(line.removeprefix("warning: ") for line in warned)
     for words in (
         "; no parameter is well known; not interpretable: time constant; not identifiable: gain; ",

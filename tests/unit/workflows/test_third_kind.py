@@ -14,14 +14,13 @@ import pytest
 import sysid
 from fakes.lag_kind import TRUE, LagProblem, write_lag
 from sysid import exact_json
-from sysid.documents import interval
 from sysid.errors import FitError, SysidWarning
 from sysid.export.spreadsheet import to_csv
 from sysid.fit.adequacy import adequacy
 from sysid.fit.store import read_fit
 from sysid.parameter_sets import INTERVALS
 from sysid.report.trust_tables import print_check, print_trust, print_validation
-from sysid.trust.documents import TRUST, read_part
+from sysid.trust.documents import TrustDocument
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
 from sysid.workflows.export_models import export_sets
@@ -55,28 +54,28 @@ def test_the_fit_finds_the_truth_and_tells_what_it_expects(lag):
 def test_every_verb_serves_it(lag, capsys):
     path, folder = lag
     checked = check_campaign(path)
-    assert [row["verdict"] for row in checked["parameters"]] == ["well", "well"]
+    assert [row.verdict for row in checked.parameters] == ["well", "well"]
     print_check(checked, False)
     assert "warning" not in capsys.readouterr().out
-    print_check(checked | {"warnings": ["one is wrong", "so is two"]}, False)
+    print_check(checked.model_copy(update={"warnings": ["one is wrong", "so is two"]}), False)
     assert capsys.readouterr().out.endswith("2 warnings, above:\none is wrong\nso is two\n")
 
     trusted = assess_fit(folder, TrustOptions(resamples=10))
-    for row in trusted["parameters"]:
-        low, high = row["interval_95"]
-        assert low < TRUE[row["name"]] < high
+    for row in trusted.parameters:
+        low, high = row.interval_95
+        assert low < TRUE[row.name] < high
     print_trust(trusted, folder, False)
 
     validated = validate_fit(folder, path)
-    assert [trial["name"] for trial in validated["trials"]] == ["step-3"]
-    assert validated["flagged"] is False
+    assert [trial.name for trial in validated.trials] == ["step-3"]
+    assert validated.flagged is False
     print_validation(validated, folder, False)
     fit = read_fit(folder)
-    assert validated["nrmse"] == fit.mean_nrmse("validate")[0]
-    assert len(cross_validate(folder)["trials"]) == 3
+    assert validated.nrmse == fit.mean_nrmse("validate")[0]
+    assert len(cross_validate(folder).trials) == 3
     document, _ = compare_fits([folder, folder])
-    assert all(row["differs"] is not True for row in document["differences"])
-    assert document["cross"].tolist() == [[fit.nrmse[0]] * 2] * 2
+    assert all(row.differs is not True for row in document.differences)
+    assert document.cross == [[fit.nrmse[0]] * 2] * 2
     with pytest.raises(FitError, match="two or more"):
         compare_fits([folder])
     assert "step-3" in capsys.readouterr().out
@@ -156,10 +155,10 @@ def test_its_report_and_exports_are_written(lag):
 def test_a_fit_ends_with_intervals_that_no_export_leaves_out(tmp_path):
     path = write_lag(tmp_path)
     result, folder = fit_campaign(path, FitOptions(out=tmp_path / "fit", quiet=True))
-    assert read_part(folder, TRUST)["adequacy"]["verdict"] == result.provenance["adequacy"]["verdict"]
+    assert TrustDocument.read(folder).adequacy.verdict == result.provenance["adequacy"]["verdict"]
     rows = result.settings[INTERVALS]
     assert [*rows] == [record.name for record in result.parameters if record.status == "free"]
-    assert all(row["interval_95"][0] < row["interval_95"][1] for row in rows.values())
+    assert all(row.low < row.high for row in result.judged.values())
     for suffix in (".json", ".csv", ".h5", ".mat"):
         (file,) = export_sets(folder, tmp_path / f"sets{suffix}")
         assert load_sets(file).settings[INTERVALS] == rows
@@ -175,9 +174,9 @@ def test_a_fit_ends_with_intervals_that_no_export_leaves_out(tmp_path):
     assert (row["interval_low"], float(row["interval_high"])) == ("", rows[name]["interval_95"][1])
     # What a person reads first was written before the intervals were known.
     lines = (folder / "summary.txt").read_text(encoding="utf-8").splitlines()
-    for name, row in rows.items():
+    for name, row in result.judged.items():
         (line,) = (one for one in lines if f" {name}: 95 % " in one)
-        assert line.endswith(f"{interval(row, 95)}, {row['verdict'].replace('_', ' ')}")
+        assert line.endswith(f"{row.interval}, {row.verdict.replace('_', ' ')}")
 
 
 @pytest.mark.parametrize("change", ["edited", "deleted"])
