@@ -14,6 +14,7 @@ from sysid.fit.problem import Problem
 from sysid.fit.result import RankedSets
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason
+from sysid.fit.story import Story
 from sysid.journal import Finding, tell
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.types import FloatArray
@@ -140,6 +141,8 @@ class Kind:
         (fitted problem) -> (title, simpler model of the same trials) pairs that the ladder compares.
     laws : tuple of str
         Settings that a user may state instead of the campaign's; `under` reads them.
+    story : type of Story
+        What is told of a problem's trials.
     """
 
     name: str
@@ -153,3 +156,4 @@ class Kind:
     simpler: Callable[[Any], Sequence[tuple[str, Problem]]] = lambda problem: ()
     laws: tuple[str, ...] = ()
     words: Words = Words()
+    story: type[Story[Any]] = Story

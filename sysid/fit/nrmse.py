@@ -15,7 +15,7 @@ impact is broadband, so treating one side only biases the fit.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from sysid.errors import FitError
 from sysid.fit.nrmse_kernels import FAILED_NRMSE, prepare_trial, score_population
+from sysid.fit.trial import ComparedChannel
 from sysid.parallel import in_threads
 from sysid.types import BoolArray, FloatArray
 
@@ -51,14 +52,12 @@ def spread(measured: ArrayLike, valid: ArrayLike | None = None, denominator: Den
 
 
 @dataclass(frozen=True)
-class CostChannel:
+class CostChannel(ComparedChannel):
     """One compared channel: a column of the simulated samples; with `rate` its derivative after the filter.
 
     `weight` counts in the mean over channels, ≥ 0 [1].
     """
 
-    name: str
-    unit: str
     column: int
     rate: bool = False
     weight: float = 1.0
@@ -292,33 +291,15 @@ class FilteredNrmse(WeightedNrmse):
     def prepared(self, samples: FloatArray) -> tuple[FloatArray, ...]:
         """Return, per trial, the signals that are compared: (P, n_window, C) [channel units]."""
         samples = self._checked(samples)
-        return tuple(self._prepared(t, samples, len(samples)) for t in range(len(self.trials)))
-
-    def _prepared(self, t: int, candidates: Iterable[FloatArray], count: int) -> FloatArray:
-        block = np.empty((count, int(self._window[t + 1] - self._window[t]), len(self.channels)))
-        work = np.empty((2, int(self.offsets[t + 1] - self.offsets[t])))
-        for samples, out in zip(candidates, block, strict=True):
-            prepare_trial(
-                samples, self.offsets[t], self.offsets[t + 1], self._half[t], self._reach,
-                self._taps[t], self._rate[t], self._left, self._right, self._share,
-                self._column, self._is_rate, work, out,
-            )  # fmt: skip
-        return block
-
-    def operators(self, t: int) -> tuple[FloatArray, ...]:
-        """Return, per channel, the matrix (n_window, n_samples) that makes a trial's samples comparable.
-
-        The way there is linear, and equal for all values and for all rates, which share their matrix.
-        """
-        first, last = int(self.offsets[t]), int(self.offsets[t + 1])
-        samples = np.zeros((self.n_total, int(self._column.max()) + 1))
-
-        def pulses() -> Iterator[FloatArray]:
-            for row in range(first, last):
-                samples[row] = 1.0
-                yield samples
-                samples[row] = 0.0
-
-        response = self._prepared(t, pulses(), last - first)
-        kinds = {rate: np.ascontiguousarray(response[:, :, c].T) for c, rate in enumerate(self._is_rate)}
-        return tuple(kinds[rate] for rate in self._is_rate)
+        out = []
+        for t in range(len(self.trials)):
+            block = np.empty((len(samples), int(self._window[t + 1] - self._window[t]), len(self.channels)))
+            work = np.empty((2, int(self.offsets[t + 1] - self.offsets[t])))
+            for candidate, signals in zip(samples, block, strict=True):
+                prepare_trial(
+                    candidate, self.offsets[t], self.offsets[t + 1], self._half[t], self._reach,
+                    self._taps[t], self._rate[t], self._left, self._right, self._share,
+                    self._column, self._is_rate, work, signals,
+                )  # fmt: skip
+            out.append(block)
+        return tuple(out)

@@ -1,15 +1,14 @@
-"""The skeleton of every model: what a verb needs to know of a fit problem, and of a kind of model.
+"""A fit problem: what search and trust need to know of the prepared trials of a campaign under one model.
 
-A `Problem` is the prepared trials of one campaign under one model. The search scores it, trust takes its
-residuals, validation and report its predictions; none of them asks which model it is. A `Kind` makes a
-problem of a campaign and an outcome of a fit. A third model is one more folder with a `Problem` and a `Kind`,
-see `sysid.workflows.kinds.register`.
+The search scores a `Problem`, trust takes its residuals, validation and report its predictions; none of them
+asks which model it is. What is told of its trials besides stands in `sysid.fit.story`, how it is made of a
+campaign in `sysid.fit.kind`. A third model is one more folder, see `sysid.workflows.kinds.register`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import fields
 from functools import cache, cached_property
 from typing import Any, Self
@@ -28,7 +27,7 @@ from sysid.fit.trial import (
     Trial,
     first_cause,
 )
-from sysid.journal import Journal, notice, tell
+from sysid.journal import notice, tell
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray, IntArray
 
@@ -50,8 +49,6 @@ class Problem(ABC):
     space: SearchSpace
     # Causes of a lost simulation, in the order in which a candidate is counted.
     causes: tuple[str, ...] = UNNAMED_CAUSE
-    # What trust counts as uncertain besides the noise.
-    known_words: str = ""
 
     # --- what a model must say ------------------------------------------------------------------------------
 
@@ -62,32 +59,22 @@ class Problem(ABC):
 
     @property
     @abstractmethod
-    def channels(self) -> tuple[str, ...]:
-        """Names of the compared channels."""
-
-    @property
-    @abstractmethod
-    def units(self) -> tuple[str, ...]:
-        """SI units of the channels."""
-
-    @property
-    @abstractmethod
     def cost(self) -> Cost:
         """The NRMSE."""
 
     @abstractmethod
-    def score(self, rows: FloatArray) -> Scores:
-        """Simulate and score rows of the whole parameter table (P, n_table) [SI]."""
-
-    @abstractmethod
-    def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
-        """Return the signals as compared, (P, n, C) per trial [channel units], and which are lost (P, T)."""
+    def predict(self, rows: FloatArray) -> Prediction:
+        """Simulate and score rows of the whole parameter table (P, n_table) [SI]; return the signals too."""
 
     @abstractmethod
     def only(self, names: Collection[str]) -> Self:
         """Return the problem of some of the trials."""
 
     # --- what a model may say -------------------------------------------------------------------------------
+
+    def score(self, rows: FloatArray) -> Scores:
+        """Return what `predict` scores; a model that can do so without keeping the signals is faster."""
+        return self.predict(rows)
 
     @property
     def fitted(self) -> Self:
@@ -126,10 +113,6 @@ class Problem(ABC):
         """Return the NRMSE of every block (B,) that a right model scores at a row (n_table,) [SI]."""
         return np.array([block.noise for block in self.blocks])
 
-    def floor_by_channel(self, row: FloatArray) -> FloatArray:
-        """Return the same (T, C) [channel units]; NaN where it is not known."""
-        return self.noise
-
     def known(self, fit: FitResult) -> Collection[str]:
         """Return the parameters for which this campaign's value replaces one that a fit took as known."""
         return self.campaign.parameters.fixed
@@ -154,79 +137,9 @@ class Problem(ABC):
         digest = {trial.name: trial.digest for trial in self.trials}
         return {row.name: digest.get(row.trial, "") for row in self.space.table.values() if row.trial}
 
-    @property
-    def hashes(self) -> Mapping[str, str]:
-        """SHA-256 of every log that the fit depends on, by name."""
-        return {trial.name: trial.digest for trial in self.trials}
-
-    @property
-    def logs(self) -> Mapping[str, Any]:
-        """What a result states of every log, by name."""
-        return {trial.name: trial.provenance for trial in self.trials}
-
-    @property
-    def accuracy(self) -> Mapping[str, Any]:
-        """Further choices that must be equal for a fit to be continued; see `sysid.resume.Unfinished`."""
-        return {}
-
-    @property
-    def filters(self) -> Mapping[str, Any]:
-        """The filter's design."""
-        return {"kind": "none"}
-
-    def contacts(self, trial: int, row: FloatArray) -> FloatArray | None:
-        """Return contacts (k,) [s] of a trial predicted by a row (n_table,) [SI]; None of a model without."""
-        return None
-
     def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
         """Return from when on [s] a predicted trial is in which phase, in words that follow "most …"."""
         return [(-np.inf, "throughout")]
-
-    def evidence(self, row: FloatArray) -> Mapping[str, tuple[FloatArray, FloatArray]]:
-        """Return points behind what the fit takes as known, x and y (n,) [SI] by name, for its report.
-
-        At a row (n_table,) of the table [SI]; by default there are none.
-        """
-        return {}
-
-    def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
-        """Return what a validation adds to the scores of each trial, predicted by rows (S, n_table) [SI]."""
-        return [{} for _ in self.trials]
-
-    def quality(self) -> list[dict[str, Any]]:
-        """Return what `sysid check` states of every log; by default of the compared instants."""
-        out = []
-        for trial in self.trials:
-            steps = np.diff(trial.time)
-            step = float(np.median(steps))
-            out.append({
-                "name": trial.name, "use": trial.use, "log": str(trial.provenance.get("log", "")),
-                "rate": 1.0 / step, "jitter": float(np.median(np.abs(steps - step)) / step),
-                "holes": int(np.count_nonzero(steps > 1.5 * step)), "saturated": 0.0, "suspicions": [],
-            })  # fmt: skip
-        return out
-
-    def excitation(self) -> dict[str, Any]:
-        """Return what the trials excite: a range [low, high] or a number by name."""
-        return {}
-
-    def about(self) -> dict[str, Any]:
-        """Return further keys of the document of `sysid check`."""
-        return {}
-
-    def seen(self, journal: Journal) -> dict[str, Any]:
-        """Return the quality of the logs and `about`; notice what they contradict in the campaign, first."""
-        quality = self.quality()
-        journal.fold(len(self.trials))
-        return {"quality": quality, **self.about()}
-
-    def advice(self, weak: Collection[str]) -> list[str]:
-        """Return what to record for parameters that the trials do not determine well."""
-        return []
-
-    def given(self) -> Mapping[str, str]:
-        """Return what the intervals take as exact, by the parameter whose range would count."""
-        return {}
 
     @cached_property
     def pieces(self) -> tuple[tuple[str, ...], IntArray]:
@@ -244,6 +157,16 @@ class Problem(ABC):
         """Names of the trials."""
         return tuple(trial.name for trial in self.trials)
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the compared channels."""
+        return tuple(channel.name for channel in self.cost.channels)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the channels."""
+        return tuple(channel.unit for channel in self.cost.channels)
+
     def evaluate(self, cube: FloatArray) -> Evaluation:
         """Simulate and score points (P, n_free) [unit cube]."""
         scores = self.score(self.space.full(cube))
@@ -251,26 +174,46 @@ class Problem(ABC):
         return Evaluation(self.cost.mean(scores.by_channel), failed, scores.cause.size)
 
     def examine(self, cube: FloatArray) -> tuple[Evaluation, FloatArray]:
-        """Return what `evaluate` returns, and the residuals (P, m) [1]; NaN where a simulation failed.
-
-        Unlike `residuals`, equal points give equal bits whatever their neighbours.
-        """
-        rows = self.space.full(cube)
-        residuals = np.zeros((len(rows), self.blocks[-1].stop))
-        parts = []
-        for part in self._parts(len(rows)):
-            parts.append(self.predict(rows[part]))
-            self._subtract(parts[-1].signals, residuals[part])
-        cause = np.concatenate([part.cause for part in parts])
-        failed = first_cause(cause, len(self.causes))
+        """Return what `evaluate` returns, and the residuals (P, m) [1]; NaN where a simulation failed."""
+        residuals, scores = self._compared(self.space.full(cube))
+        failed = first_cause(scores.cause, len(self.causes))
         residuals[failed > 0] = np.nan
-        cost = self.cost.mean(np.concatenate([part.by_channel for part in parts]))
-        return Evaluation(cost, failed, cause.size), residuals
+        return Evaluation(self.cost.mean(scores.by_channel), failed, scores.cause.size), residuals
 
-    def predict(self, rows: FloatArray) -> Prediction:
-        """Return scores and signals of rows of the whole table (P, n_table) [SI]."""
-        scores = self.score(rows)
-        return Prediction(scores.by_channel, scores.cause, self.signals(rows)[0])
+    def residuals(self, cube: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return residuals (P, m) in units of each channel's spread [1], and which points failed (P,).
+
+        The residuals of a failed point are finite and mean nothing.
+        """
+        return self.compared(self.space.full(cube))
+
+    def compared(self, rows: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return residuals and failures of rows of the whole table (P, n_table) [SI]."""
+        residuals, scores = self._compared(rows)
+        return np.nan_to_num(residuals, copy=False), np.any(scores.cause > 0, axis=1)
+
+    def _compared(self, rows: FloatArray) -> tuple[FloatArray, Scores]:
+        """Return the residuals (P, m) and scores of rows, as many at once as their samples fit in memory."""
+        out = np.zeros((len(rows), self.blocks[-1].stop))
+        parts = []
+        for part in self.parts(len(rows)):
+            prediction = self.predict(rows[part])
+            parts.append(prediction)
+            for block in self.blocks:
+                trial = self.trials[block.trial]
+                signal = prediction.signals[block.trial][:, :, block.channel]
+                error = signal - trial.measured[:, block.channel]
+                valid = trial.valid[:, block.channel]
+                out[part, block.start : block.stop] = np.where(valid, error, 0.0) / block.spread
+        by_channel, cause = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("by_channel", "cause")
+        )
+        return out, Scores(by_channel, cause)
+
+    def parts(self, count: int) -> list[slice]:
+        """Return the parts in which candidates are simulated, so that their samples fit into memory."""
+        share = max(1, int(_MEMORY / (16 * self.blocks[-1].stop)))
+        return [slice(first, min(first + share, count)) for first in range(0, count, share)]
 
     def results(self, rows: FloatArray) -> tuple[TrialResult, ...]:
         """Return every trial, measured and simulated with ranked sets (S, n_table) [SI]; name the lost."""
@@ -304,41 +247,6 @@ class Problem(ABC):
                 out.append(Block(t, int(c), start, stop, count, float(weights[c]), spread, level))
                 start = stop
         return tuple(out)
-
-    def residuals(self, cube: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return residuals (P, m) in units of each channel's spread [1], and which points failed (P,).
-
-        The residuals of a failed point are finite and mean nothing.
-        """
-        return self.compared(self.space.full(cube))
-
-    @property
-    def samples(self) -> int:
-        """Simulated samples of one candidate, which bound how many are compared at once."""
-        return self.blocks[-1].stop
-
-    def compared(self, rows: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return residuals and failures of rows of the whole table (P, n_table) [SI]."""
-        out = np.zeros((len(rows), self.blocks[-1].stop))
-        failed = np.zeros(len(rows), dtype=np.bool_)
-        for part in self._parts(len(rows)):
-            signals, lost = self.signals(rows[part])
-            failed[part] = lost.any(axis=1)
-            self._subtract(signals, out[part])
-        return np.nan_to_num(out), failed
-
-    def _parts(self, count: int) -> list[slice]:
-        """Return the parts in which candidates are compared, so that their samples fit into memory."""
-        share = max(1, int(_MEMORY / (16 * self.samples)))
-        return [slice(first, min(first + share, count)) for first in range(0, count, share)]
-
-    def _subtract(self, signals: Sequence[FloatArray], out: FloatArray) -> None:
-        """Fill residuals (P, m) from signals as compared, (P, n, C) per trial."""
-        for block in self.blocks:
-            trial = self.trials[block.trial]
-            error = signals[block.trial][:, :, block.channel] - trial.measured[:, block.channel]
-            valid = trial.valid[:, block.channel]
-            out[:, block.start : block.stop] = np.where(valid, error, 0.0) / block.spread
 
     def disturbances(self, cube: FloatArray) -> FloatArray:
         """Return `disturbances_at` of a point of the unit cube (n_free,)."""

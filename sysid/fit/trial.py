@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -17,11 +17,24 @@ UNNAMED_CAUSE = ("simulation failed",)
 Failed = BoolArray | NDArray[np.int8]
 
 
+@dataclass(frozen=True)
+class ComparedChannel:
+    """A compared channel and its SI unit."""
+
+    name: str
+    unit: str
+
+
 class Cost(Protocol):
     """An NRMSE: weights of the channels (C,), denominators (T, C) [channel unit]."""
 
     weights: FloatArray
     denominators: FloatArray
+
+    @property
+    def channels(self) -> Sequence[ComparedChannel]:
+        """The compared channels."""
+        ...
 
     def mean(self, by_channel: FloatArray) -> FloatArray:
         """Return the weighted mean (...) over channels, then over trials, of (..., T, C) NRMSE [1]."""

@@ -13,10 +13,20 @@ from sysid.campaign import GearCampaign
 from sysid.fit.kind import Course, FitOutcome, Kind, Term, Words
 from sysid.fit.nrmse import TrialTarget
 from sysid.gear.drops import PreparedDrop, prepare_drops
-from sysid.gear.model import PARAMETERS
-from sysid.gear.problem import CONSTANTS, TRUST_TOLERANCE, GearProblem, gear_space, on_surface
+from sysid.gear.model import LF_FREE, PARAMETERS, find_surface
+from sysid.gear.problem import (
+    CONSTANTS,
+    NEVER_IN_DROPS,
+    TRUST_TOLERANCE,
+    GearProblem,
+    gear_space,
+    on_surface,
+    prepare_kernel,
+    read_by_laws,
+)
 from sysid.gear.starts import compared_noise
-from sysid.journal import Finding
+from sysid.gear.story import GearStory
+from sysid.journal import Finding, notice, tell
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.types import FloatArray
 
@@ -47,6 +57,43 @@ def _open(campaign: GearCampaign, path: Path, threads: int | None) -> GearProble
     # Refused before the drops are read.
     campaign.parameters.measured_ranges(PARAMETERS)
     return GearProblem(campaign, space, prepare_drops(campaign, path), threads, path=path)
+
+
+def _begin(problem: GearProblem) -> None:
+    """Tell what is fitted and what is not used, and compile the kernel."""
+    notice_defaults(problem)
+    count = len(problem.fitted.drops)
+    validated, free = len(problem.drops) - count, len(problem.space.free)
+    tell(f"{count} drops to fit, {validated} to validate; {free} free parameters")
+    prepare_kernel(problem.campaign.surface.law)
+
+
+def notice_defaults(problem: GearProblem) -> None:
+    """Name stated values that are not used, and values of the paper's drone that stand in for others."""
+    law, stated = problem.campaign.surface.law, problem.stated
+    for name in problem.space.names:
+        if name in stated:
+            notice(
+                "stated-and-free",
+                f"{name} is stated in the campaign and free on {law}: the search chooses it, the stated "
+                "value is not used; name it under [parameters.fixed] to keep it",
+            )
+    reads = find_surface(law).reads
+    given = {*stated, *problem.campaign.parameters.fixed, *CONSTANTS, *LF_FREE}
+    left = [
+        f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
+        for name, value in problem.space.fixed.items()
+        if name not in {*given, *NEVER_IN_DROPS} and (name in reads or name not in read_by_laws())
+    ]
+    if left:
+        notice(
+            "values-of-the-paper",
+            f"not in the campaign, so the values of the paper's F450 are used: {', '.join(left)}; "
+            "state your own",
+        )
+    for name in {*NEVER_IN_DROPS} - given:
+        value = f"{problem.space.fixed[name]:.4g} {PARAMETERS[name].unit}"
+        tell(f"{name}: the paper's {value}; no drop depends on it, only simulations with thrust do")
 
 
 def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
@@ -146,7 +193,8 @@ GEAR = Kind(
     name="gear",
     campaign=GearCampaign,
     open=_open,
-    begin=GearProblem.begin,
+    begin=_begin,
+    story=GearStory,
     follow_up=_follow_up,
     candidates=_candidates,
     under=_under,

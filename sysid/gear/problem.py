@@ -12,29 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.campaign import GearCampaign
-from sysid.campaign.file import resolve_log
 from sysid.errors import CampaignError
 from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse, PopulationCost
 from sysid.fit.problem import Problem, tell_of_kernel
 from sysid.fit.result import FitResult
 from sysid.fit.trial import Block, NoiseModel, Prediction, Scores, Trial
-from sysid.gear.beyond_window import centre_of_mass, stopping
-from sysid.gear.drops import PreparedDrop, cost_channels, lowpass_of, read_drop_log
+from sysid.gear.drops import PreparedDrop, cost_channels
 from sysid.gear.lost_drops import CAUSES, lost_drops
 from sysid.gear.model import (
-    LF_FREE,
     PARAMETERS,
     SURFACES,
     Drops,
-    EventKind,
     PopulationSamples,
     find_surface,
     parameters_on,
     prepare,
-    simulate,
     simulate_population,
 )
-from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
 from sysid.gear.starts import (
     compared_noise,
     level_error,
@@ -45,24 +39,23 @@ from sysid.gear.starts import (
     start_roots,
     with_nuisance,
 )
-from sysid.journal import Finding, notice, tell
+from sysid.journal import Finding
 from sysid.parameters import SearchSpace
-from sysid.trials.look import inspect_recording, log_quality
 from sysid.trust.linearized import noise_model
-from sysid.types import BoolArray, FloatArray
+from sysid.types import FloatArray
 
 # Simulations of trust are this exact: at the fit's 3e-4 the integration's error moves a sum of squares by as
 # much as one standard deviation of a parameter does.
 TRUST_TOLERANCE = 2e-5
 # Touchdowns of one foot closer than this count as one [s].
-_ONE_TOUCHDOWN = 5e-3
+ONE_TOUCHDOWN = 5e-3
 # A body falls where forces other than its weight accelerate it less than this [m/s²]; it is at rest below
 # this speed [m/s] and pitch rate [rad/s].
 _FALLING, _AT_REST = 1.5, (0.1, 0.2)
 # Rows that are choices of the model rather than measurements.
 CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", *PARAMETERS.group("front leg", "term"))
-# Motors do not run in a drop.
-_NEVER_IN_DROPS = ("thrust_point_dx",)
+# Rows on which no drop depends: motors do not run in one.
+NEVER_IN_DROPS = ("thrust_point_dx",)
 
 
 @cache
@@ -82,7 +75,7 @@ def gear_space(campaign: GearCampaign) -> SearchSpace:
     space = campaign.parameters.search_space(
         parameters_on(law), SURFACES[law].free, measured_values(campaign)
     )
-    unread = {*_NEVER_IN_DROPS, *_read_by_laws()}.difference(SURFACES[law].reads)
+    unread = {*NEVER_IN_DROPS, *read_by_laws()}.difference(SURFACES[law].reads)
     for name in space.names:
         if name in unread:
             raise CampaignError(
@@ -92,7 +85,7 @@ def gear_space(campaign: GearCampaign) -> SearchSpace:
     return with_nuisance(space, campaign)
 
 
-def _read_by_laws() -> set[str]:
+def read_by_laws() -> set[str]:
     """Return the rows that any friction law reads."""
     return {name for law in SURFACES.values() for name in law.reads}
 
@@ -176,16 +169,6 @@ class GearProblem(Problem):
             for drop in self.drops
         )  # fmt: skip
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Position and its rate along x and z, and pitch."""
-        return tuple(channel.name for channel in self.cost.channels)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """SI units of the channels."""
-        return tuple(channel.unit for channel in self.cost.channels)
-
     @cached_property
     def cost(self) -> FilteredNrmse:
         """The campaign's NRMSE over the drops."""
@@ -214,7 +197,7 @@ class GearProblem(Problem):
 
     def score(self, rows: FloatArray) -> Scores:
         """Simulate and score rows of the parameter table (P, n_table) [SI]."""
-        scored = [self.judge_samples(*self.simulate(rows[part])) for part in self._parts(len(rows))]
+        scored = [self.judge_samples(*self.simulate(rows[part])) for part in self.parts(len(rows))]
         return Scores(
             np.concatenate([part.by_channel for part, _ in scored]),
             np.concatenate([causes for _, causes in scored]),
@@ -241,7 +224,7 @@ class GearProblem(Problem):
         if body_states is None and shift is not None:
             body_states = shifted_starts(self.drops, *shift)
         result = simulate_population(
-            rows[:, : len(PARAMETERS)], self.jobs, body_states=body_states, **self._simulation
+            rows[:, : len(PARAMETERS)], self.jobs, body_states=body_states, **self.simulation
         )
         first, ends = self.cost.offsets, self.jobs.offset
         samples = np.empty((len(rows), self.cost.n_total, 6))
@@ -256,59 +239,15 @@ class GearProblem(Problem):
         return samples, result
 
     @property
-    def _simulation(self) -> dict[str, Any]:
+    def simulation(self) -> dict[str, Any]:
         law = self.campaign.surface.law
         return {"surface": law, "tolerance": self.tolerance, "threads": self.threads}
-
-    def _lost(self, samples: FloatArray, result: PopulationSamples) -> BoolArray:
-        """Return which drops (P, D) are lost, unscored."""
-        failed = result.reached < 1.0
-        return lost_drops(self.cost, self.drops, self.board_length, result, samples, failed)[0] > 0
-
-    def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
-        """Return the signals as compared, (P, n, 5) [SI] per drop, and which drops are lost (P, D)."""
-        samples, result = self.simulate(rows)
-        return self.cost.prepared(samples), self._lost(samples, result)
 
     def predict(self, rows: FloatArray) -> Prediction:
         """Return scores and signals of rows (P, n_table) [SI], simulated once."""
         samples, result = self.simulate(rows)
         scored, causes = self.judge_samples(samples, result)
         return Prediction(scored.by_channel, causes, self.cost.prepared(samples))
-
-    def compared(
-        self, rows: FloatArray, body_states: FloatArray | None = None
-    ) -> tuple[FloatArray, BoolArray]:
-        """Return residuals and failures of rows (P, n_table) [SI], from starts (P, D, 6) where given."""
-        compared = max(channel.column for channel in self.cost.channels) + 1
-        samples = np.empty((len(rows), self.cost.n_total, compared))
-        lost = np.empty(len(rows), dtype=np.bool_)
-        for part in self._parts(len(rows)):
-            every, result = self.simulate(rows[part], None if body_states is None else body_states[part])
-            samples[part] = every[:, :, :compared]
-            lost[part] = np.any(self._lost(every, result), axis=1)
-        np.nan_to_num(samples, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        out = np.zeros((len(rows), self.blocks[-1].stop))
-        for block in self.blocks:
-            first, last = self.cost.offsets[block.trial], self.cost.offsets[block.trial + 1]
-            column = self.cost.channels[block.channel].column
-            # Of all rows at once: the last bit of a product depends on how many rows it has.
-            signal = samples[:, first:last, column] @ self._operators[block.trial][block.channel].T
-            trial = self.trials[block.trial]
-            error = signal - trial.measured[:, block.channel]
-            valid = trial.valid[:, block.channel]
-            out[:, block.start : block.stop] = np.where(valid, error, 0.0) / block.spread
-        return np.nan_to_num(out, copy=False), lost
-
-    @property
-    def samples(self) -> int:
-        """Simulated numbers of one candidate, which bound how many are simulated at once."""
-        return 6 * self.cost.n_total
-
-    @cached_property
-    def _operators(self) -> tuple[tuple[FloatArray, ...], ...]:
-        """Filter and difference of every drop as matrices, which take a whole population at once."""
-        return tuple(self.cost.operators(t) for t in range(len(self.drops)))
 
     # --- what is uncertain ----------------------------------------------------------------------------------
 
@@ -340,61 +279,20 @@ class GearProblem(Problem):
         for d, root in enumerate(roots):
             states[:kinds, d] += root
             states[kinds:, d] -= root
-        values, _ = self.compared(np.repeat(rows, 2 * kinds, axis=0), states)
-        change = (values[:kinds] - values[kinds:]) / 2
+        samples, _ = self.simulate(np.repeat(rows, 2 * kinds, axis=0), states)
+        signals = self.cost.prepared(samples)
+        out = np.zeros((kinds * len(self.drops), self.blocks[-1].stop))
         for block in self.blocks:
+            up, down = np.split(np.nan_to_num(signals[block.trial][:, :, block.channel]), 2)
+            change = (up - down) / (2 * block.spread)
             if self.channels[block.channel] == "q_B":
-                valid = self.trials[block.trial].valid[:, block.channel]
-                level = level_error(self.drops[block.trial])
-                change[-1, block.start : block.stop] = valid * level / block.spread
-        out = np.zeros((kinds * len(self.drops), values.shape[1]))
-        for block in self.blocks:
-            where = slice(block.start, block.stop)
-            out[block.trial * kinds : (block.trial + 1) * kinds, where] = change[:, where]
+                change[-1] = level_error(self.drops[block.trial]) / block.spread
+            own = slice(block.trial * kinds, (block.trial + 1) * kinds)
+            valid = self.trials[block.trial].valid[:, block.channel]
+            out[own, block.start : block.stop] = np.where(valid, change, 0.0)
         return out
 
     # --- what else a campaign says --------------------------------------------------------------
-
-    def begin(self) -> None:
-        """Tell what is fitted and what is not used, and compile the kernel."""
-        self._notice_defaults()
-        count = len(self.fitted.drops)
-        validated, free = len(self.drops) - count, len(self.space.free)
-        tell(f"{count} drops to fit, {validated} to validate; {free} free parameters")
-        prepare_kernel(self.campaign.surface.law)
-
-    def _notice_defaults(self) -> None:
-        """Name stated values that are not used, and values of the paper's drone that stand in for others."""
-        law, stated = self.campaign.surface.law, self.stated
-        for name in self.space.names:
-            if name in stated:
-                notice(
-                    "stated-and-free",
-                    f"{name} is stated in the campaign and free on {law}: the search chooses it, the stated "
-                    "value is not used; name it under [parameters.fixed] to keep it",
-                )
-        reads = find_surface(law).reads
-        given = {*stated, *self.campaign.parameters.fixed, *CONSTANTS, *LF_FREE}
-        left = [
-            f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
-            for name, value in self.space.fixed.items()
-            if name not in {*given, *_NEVER_IN_DROPS} and (name in reads or name not in _read_by_laws())
-        ]
-        if left:
-            notice(
-                "values-of-the-paper",
-                f"not in the campaign, so the values of the paper's F450 are used: {', '.join(left)}; "
-                "state your own",
-            )
-        for name in {*_NEVER_IN_DROPS} - given:
-            value = f"{self.space.fixed[name]:.4g} {PARAMETERS[name].unit}"
-            tell(f"{name}: the paper's {value}; no drop depends on it, only simulations with thrust do")
-
-    @property
-    def accuracy(self) -> Mapping[str, Any]:
-        """The law and the tolerance."""
-        law = self.campaign.surface.law
-        return {"friction_law": law, "accuracy_of_a_simulation": self.tolerance}
 
     @property
     def stated(self) -> Mapping[str, float]:
@@ -405,30 +303,6 @@ class GearProblem(Problem):
         """Return what the campaign states or fixes."""
         return {*self.stated, *self.campaign.parameters.fixed}
 
-    @property
-    def filters(self) -> Mapping[str, Any]:
-        """The low-pass at the rate of the first drop."""
-        lowpass = lowpass_of(self.campaign, self.drops[0].motion.rate)
-        if lowpass is None:
-            return {"kind": "none"}
-        return lowpass.design() | {"simulation_filtered": self.campaign.filter.filter_simulation}
-
-    def contacts(self, trial: int, row: FloatArray) -> FloatArray:
-        """Return when feet touch (k,) [s] in a prediction, on the drop's clock; within 5 ms: once."""
-        drop = self.drops[trial]
-        run = simulate(
-            row[: len(PARAMETERS)], drop.slope, drop.initial_state, drop.simulated_time,
-            surface=self.campaign.surface.law, tolerance=self.tolerance,
-        )  # fmt: skip
-        out: list[float] = []
-        last: dict[str, float] = {}
-        for event in run.events:
-            if event.kind is EventKind.TOUCHDOWN:
-                if event.time - last.get(event.foot, -1.0) > _ONE_TOUCHDOWN:
-                    out.append(event.time)
-                last[event.foot] = event.time
-        return drop.time[0] + np.array(out)
-
     def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
         """Return the fall, the contact until the body falls again, the bounces, and the rest.
 
@@ -436,10 +310,10 @@ class GearProblem(Problem):
         """
         drop = self.only([self.drops[trial].name])
         time, down = self.drops[trial].time, self.drops[trial].touchdown
-        _, _, rate_x, rate_z, pitch = drop.signals(row[None])[0][0][0].T
+        _, _, rate_x, rate_z, pitch = drop.predict(row[None]).signals[0][0].T
         force = np.hypot(np.gradient(rate_x, time), np.gradient(rate_z, time) + self.campaign.vehicle.gravity)
         out = [(-np.inf, "before the first contact"), (down, "at the first contact")]
-        falls = np.flatnonzero((time > down + _ONE_TOUCHDOWN) & (force < _FALLING))
+        falls = np.flatnonzero((time > down + ONE_TOUCHDOWN) & (force < _FALLING))
         hit = np.flatnonzero((time > down) & (force > _FALLING))
         falls = falls[falls > hit[0]] if len(hit) else falls[:0]
         if len(falls):
@@ -450,66 +324,3 @@ class GearProblem(Problem):
         if last + 1 < len(time) and time[last + 1] > out[-1][0]:
             out.append((float(time[last + 1]), "at rest"))
         return out
-
-    def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
-        """Return slope and resting place of every drop, over the sets and the starts' uncertainty.
-
-        ``stop``: place [m, down-slope] and time [s] since the first touchdown, each measured, mean and sigma.
-        """
-        stops = [stopping(drop, rows, self.board_length, **self._simulation) for drop in self.drops]
-        return [
-            {"slope_deg": float(np.degrees(drop.slope)), "stop": stop}
-            for drop, stop in zip(self.drops, stops, strict=True)
-        ]
-
-    def quality(self) -> list[dict[str, Any]]:
-        """Return how good every log is, and how its fall begins and ends."""
-        notice_odd_vehicle(self.campaign)
-        return [self._quality(drop) for drop in self.drops]
-
-    def _quality(self, drop: PreparedDrop) -> dict[str, Any]:
-        assert self.path is not None
-        campaign, flight, motion = self.campaign, drop.flight, drop.motion
-        trial = next(entry for entry in campaign.trials if entry.name == drop.name)
-        log = resolve_log(self.path, trial.log)
-        recording = read_drop_log(campaign, log, trial.rigid_body, trial.log_options.model_dump_json())
-        report = inspect_recording(recording, campaign.vehicle.gravity)
-        notice_contradictions(campaign, trial, report.drop)
-        window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
-        tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
-        stated = ("slope_deg", "release", "touchdown", "impact_speed", "notes")
-        return {
-            **log_quality(drop.name, drop.use, report),
-            **{key: drop.provenance[key] for key in stated},
-            "noise": dict(zip(("x", "z", "pitch"), flight.noise.tolist(), strict=True)),
-            "gravity": flight.measured_gravity,
-            "gravity_error": _fall_error(drop),
-            "held": flight.held,
-            "lost_in_window": int(np.sum(~motion.valid[window])),
-            "out_of_plane_deg": float(np.degrees(tilt)),
-        }
-
-    def excitation(self) -> dict[str, Any]:
-        """Return the ranges of slopes [deg], impact speeds [m/s] and largest pitch rates [rad/s]."""
-        drops = self.fitted.drops
-        rates = [np.gradient(drop.target.measured[:, 4], 1 / drop.motion.rate) for drop in drops]
-        spans = {
-            "slope_deg": [float(np.degrees(drop.slope)) for drop in drops],
-            "impact_speed": [drop.impact_speed for drop in drops],
-            "pitch_rate": [float(np.nanmax(np.abs(rate))) for rate in rates],
-        }
-        return {name: [min(values), max(values)] for name, values in spans.items()}
-
-    def about(self) -> dict[str, Any]:
-        """Return where the centre of mass is, seen from the stated one."""
-        return {"centre_of_mass": centre_of_mass(self.drops, self.campaign)}
-
-
-def _fall_error(drop: PreparedDrop) -> float:
-    """Return the standard error of the g that the fall itself shows [m/s²].
-
-    Of a parabola through n samples of noise σ over a time T: σ sqrt(720/n)/T².
-    """
-    lasts = drop.touchdown - drop.flight.start
-    count = lasts * drop.motion.rate
-    return float(drop.flight.noise[1] * np.sqrt(720.0 / count) / lasts**2) if count > 3 else np.nan

@@ -97,5 +97,7 @@ def _candidate(
         command=np.concatenate([[command[0]], command]), time=grid, supply=None,
     )  # fmt: skip
     trial = replace(template, simulated=schedule, target=blank, starts=(), thrust=None)
-    signals, lost = problem.of((trial,)).signals(row)
-    return None if lost.any() else replace(trial, target=replace(blank, measured=signals[0][0]))
+    prediction = problem.of((trial,)).predict(row)
+    if np.any(prediction.cause):
+        return None
+    return replace(trial, target=replace(blank, measured=prediction.signals[0][0]))

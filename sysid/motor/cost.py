@@ -15,11 +15,11 @@ import numpy as np
 from numba import njit
 
 from sysid.fit.nrmse import FAILED_NRMSE, Denominator, WeightedNrmse, divisor
+from sysid.fit.trial import ComparedChannel
 from sysid.parallel import in_threads
 from sysid.types import BoolArray, FloatArray, IntArray
 
 CHANNELS = ("stator_torque", "speed")
-CHANNEL_UNITS = ("N·m", "rad/s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +49,8 @@ class BenchCost(WeightedNrmse):
     measured samples, is per trial and channel. A channel without samples or a constant one is a FitError; if
     it has no weight, its NRMSE is NaN.
     """
+
+    channels = (ComparedChannel(CHANNELS[0], "N·m"), ComparedChannel(CHANNELS[1], "rad/s"))
 
     def __init__(
         self, targets: tuple[MotorTarget, ...], weights: tuple[float, float], denominator: Denominator

@@ -12,6 +12,7 @@ from sysid.motor.known_values import motor_space, prepare_bench
 from sysid.motor.model import PARAMETERS
 from sysid.motor.problem import MotorProblem
 from sysid.motor.simpler import simpler
+from sysid.motor.story import MotorStory
 
 
 def _open(campaign: MotorCampaign, path: Path, threads: int | None) -> MotorProblem:
@@ -28,6 +29,7 @@ MOTOR = Kind(
     begin=begin_fit,
     follow_up=follow_up,
     candidates=candidate_trials,
+    story=MotorStory,
     terms=(
         Term("supply sags", ("supply_resistance",)),
         Term("switches have a dead time", ("dead_time_voltage",)),

@@ -21,18 +21,14 @@ from sysid.fit.result import FitResult
 from sysid.fit.trial import NoiseModel, Prediction, Scores, Trial
 from sysid.motor import kernel
 from sysid.motor.batch import SimulatedTrials, simulate_population
-from sysid.motor.bench_logs import log_hashes
-from sysid.motor.cost import CHANNEL_UNITS, CHANNELS, BenchCost, MotorTarget
-from sysid.motor.curves import supply_ratio
-from sysid.motor.inertia import spikes
+from sysid.motor.cost import CHANNELS, BenchCost, MotorTarget
 from sysid.motor.known_values import CONSTANTS, Bench
 from sysid.motor.log_delays import delay_name, shifts
-from sysid.motor.model import PARAMETERS, unpack
+from sysid.motor.model import PARAMETERS
 from sysid.motor.parameters import SENSORS
-from sysid.motor.static_curves import NoLoadTie, no_load_line, turns
-from sysid.motor.targets import PreparedTrial, filter_design, measured_spectrum
+from sysid.motor.static_curves import NoLoadTie, no_load_line
+from sysid.motor.targets import PreparedTrial, measured_spectrum
 from sysid.parameters import SearchSpace
-from sysid.trials.look import inspect_recording, log_quality
 from sysid.types import BoolArray, FloatArray, IntArray, Rotation
 
 # Local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
@@ -66,12 +62,9 @@ class MotorProblem(Problem):
     threads: int | None = None
     ideal_reversal: bool = False
     stated_noise: FloatArray | None = None
-    channels = CHANNELS
-    units = CHANNEL_UNITS
     # By the kernel's status. Too expensive: some hundred times the steps of an ordinary trial, a bound that a
     # resumed fit meets at the same step, and below 0.1 s.
     causes = ("no_steady_state", "too_expensive", "not_finite", "step_collapsed")
-    known_words = "static curves and tares; ranges under parameters.measured"
 
     @classmethod
     def build(
@@ -201,16 +194,6 @@ class MotorProblem(Problem):
         by_channel, failed, signals = self.cost.compared(samples, reached, self.sensors(rows), self.threads)
         return Prediction(by_channel, _causes(failed, status), signals)
 
-    def signals(self, rows: FloatArray) -> tuple[tuple[FloatArray, ...], BoolArray]:
-        """Return the signals as compared, (P, n, 2) [SI] per trial, and which trials are lost (P, T)."""
-        prediction = self.predict(rows)
-        return prediction.signals, prediction.cause > 0
-
-    @property
-    def samples(self) -> int:
-        """Samples of the simulation's grids."""
-        return self.jobs.time.size
-
     def simulate(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return samples (P, n_total, 2) [SI] on the trials' grids, share reached [1] and status (P, T)."""
         tell_of_kernel("the motor's kernels")
@@ -226,36 +209,6 @@ class MotorProblem(Problem):
         """Return torque delay, torque lag and speed lag (P, 3) [s] of rows."""
         index = self.space.table.index
         return np.ascontiguousarray(rows[:, [index[name] for name in SENSORS]])
-
-    def evidence(self, row: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Return steady points as (Ω, thrust), (Ω, torque) and (u, Ω_0), and spikes as (dΩ/dt, torque).
-
-        Ω_0 of loaded points is lifted by what the drag of the row takes. The names are a quantity and a
-        direction, ``thrust_forward``; ``spikes_up`` has torque above the static one.
-        """
-        curves, out = self.bench.curves, {}
-        values = unpack(self.complete(row[None])[0], self.space.table)
-        drop = values["winding_resistance"] / (values["torque_constant"] * values["back_emf_constant"])
-        for direction, points in curves.loaded.items():
-            turning = turns(points.speed, direction)
-            for name in ("thrust", "torque"):
-                out[f"{name}_{direction}"] = points.speed[turning], getattr(points, name)[turning]
-            if direction in curves.ties:
-                tie = curves.ties[direction]
-                speed, torque = tie.points.T
-                lifted = speed + drop * (torque + values["viscous_damping"] * speed)
-                out[f"no_load_{direction}"] = tie.columns[:, 0], lifted
-        for log in curves.logs:
-            if log.table == "no_load":
-                ratio = supply_ratio(log.points, curves.reference_voltage)
-                out[f"no_load_{log.entry.direction}"] = log.points.u, log.points.speed / ratio
-        table = PARAMETERS.filled(values)
-        found = list(spikes(self.campaign, [trial.log for trial in self.bench.fitted], table))
-        for kind in dict.fromkeys(each[0] for each in found):
-            parts = [each[1:] for each in found if each[0] == kind]
-            acceleration, excess = (np.concatenate(each) for each in zip(*parts, strict=True))
-            out[f"spikes_{kind}"] = acceleration, excess
-        return out
 
     # --- what is uncertain ----------------------------------------------------------------------------------
 
@@ -294,7 +247,7 @@ class MotorProblem(Problem):
         return len(self._changes)
 
     @property
-    def _ranges(self) -> Mapping[str, tuple[float, float]]:
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
         """Ranges that the campaign states of known values [SI], such as a Kv or an inertia."""
         return self.campaign.parameters.measured_ranges(PARAMETERS)
 
@@ -326,7 +279,7 @@ class MotorProblem(Problem):
     def _stated_ranges(self) -> list[tuple[tuple[str, ...], float]]:
         """Return names that move together and the width of their range [SI], of what is not free."""
         out: list[tuple[tuple[str, ...], float]] = []
-        ranges = {name: pair for name, pair in self._ranges.items() if name not in self.space.names}
+        ranges = {name: pair for name, pair in self.ranges.items() if name not in self.space.names}
         constants = [ranges.pop(name) for name in CONSTANTS if name in ranges]
         if constants and not {*CONSTANTS} & {*self.space.names}:
             out.append((CONSTANTS, max(high - low for low, high in constants)))
@@ -355,13 +308,6 @@ class MotorProblem(Problem):
         known = np.array([np.sum(moved[:, b.start : b.stop] ** 2) / b.count for b in self.blocks])
         noise = np.array([block.noise for block in self.blocks])
         return np.asarray(np.sqrt(noise**2 + known))
-
-    def floor_by_channel(self, row: FloatArray) -> FloatArray:
-        """Return the same (T, 2) [channel units]; NaN where a channel has no weight."""
-        out = np.full((len(self.prepared), len(CHANNELS)), np.nan)
-        for block, level in zip(self.blocks, self.floors(row), strict=True):
-            out[block.trial, block.channel] = level
-        return out * self.cost.denominators
 
     def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
         """Return what follows each command for 0.3 s, and the rest."""
@@ -408,72 +354,8 @@ class MotorProblem(Problem):
                 rows[:, index[name]] = rows[:, index["command_delay"]]
         return self.complete(rows)
 
-    @property
-    def hashes(self) -> Mapping[str, str]:
-        """SHA-256 of every log, of the static logs as well."""
-        return {name: log_hashes(provenance) for name, provenance in self.logs.items()}
-
-    @property
-    def logs(self) -> Mapping[str, Any]:
-        """What a result states of every log, of the static logs as well."""
-        return {trial.entry.name: trial.provenance for trial in self.bench.trials} | {
-            log.name: log.provenance for log in self.bench.curves.logs
-        }
-
-    @property
-    def filters(self) -> Mapping[str, Any]:
-        """The filter of the fast logs, and which logs went without."""
-        return filter_design(self.campaign, [trial.log for trial in self.bench.trials])
-
-    def quality(self) -> list[dict[str, Any]]:
-        """Return how good every log is, without what reading it has put right: tare and signs."""
-        out = []
-        for trial in self.prepared:
-            report, entry = inspect_recording(trial.log.recording), trial.entry
-            handled = ["no-tare"] * bool(trial.log.tares) + ["thrust-falls"] * (entry.direction != "forward")
-            left = tuple(finding for finding in report.suspicions if finding.code not in handled)
-            quality = log_quality(entry.name, entry.use, replace(report, suspicions=left))
-            out.append(quality | {"second_log": trial.log.second})
-        return out
-
-    def excitation(self) -> dict[str, Any]:
-        """Return the ranges of commands and speeds [rad/s], and the numbers of commands and reversals."""
-        commands = np.concatenate([trial.log.steps.level for trial in self.prepared])
-        targets = (trial.target for trial in self.bench.fitted)
-        speeds = np.concatenate([target.measured[target.valid[:, 1], 1] for target in targets])
-        return {
-            "command": [float(commands.min()), float(commands.max())],
-            "commands": commands.size,
-            "speed": [float(speeds.min()), float(speeds.max())],
-            "reversals": sum(trial.entry.direction == "reversal" for trial in self.prepared),
-        }
-
-    def advice(self, weak: Collection[str]) -> list[str]:
-        """Return what to record next for the parameters that bench trials do not determine well."""
-        out = [sentence for name, sentence in _ADVICE.items() if name in weak]
-        if not any(trial.entry.direction == "reversal" for trial in self.prepared):
-            out.append("no reversal was recorded: nothing shows I_sat and Ω_min, which decide its delay")
-        return out
-
-    def given(self) -> Mapping[str, str]:
-        """Return what the intervals take as exact."""
-        fixed = self.campaign.parameters.fixed
-        return taken_as_exact(self.space.names, self._ranges, self.bench, fixed)
-
 
 _INSTRUMENTS = PARAMETERS.group("instrument")
-_ADVICE = {
-    "viscous_damping": (
-        "to determine k_d: a log without propeller in which the unpowered rotor coasts down; beside a "
-        "propeller its drag is lost in the error of the torque curve"
-    ),
-    "winding_inductance": (
-        "L shows in what follows a step within milliseconds: record with a load cell at 1 kHz or more"
-    ),
-    "winding_resistance": (
-        "R rests on the static curves: record more steady points, with propeller and without"
-    ),
-}
 
 
 def _causes(failed: BoolArray, status: IntArray) -> NDArray[np.int8]:
@@ -505,31 +387,4 @@ def filtered_correlation(target: MotorTarget, lags: int) -> FloatArray:
         whole = np.concatenate([target.taps[:0:-1], target.taps])
         overlap = np.correlate(whole, whole, "full")[len(whole) - 1 :: stride][: lags + 1]
         out[: len(overlap)] = overlap / overlap[0]
-    return out
-
-
-def taken_as_exact(
-    free: Collection[str], ranges: Collection[str], bench: Bench, fixed: Collection[str]
-) -> dict[str, str]:
-    """Return what a motor's intervals take as exact, in words, by the parameter whose range would count.
-
-    `free`, `ranges` and `fixed` are the names that are free, have a stated range, are fixed by the campaign.
-    """
-    out = {}
-    constants = [name for name in CONSTANTS if name not in free]
-    # Either of the pair moves the other.
-    if constants and not {*constants} & {*ranges}:
-        name = constants[0]
-        if name in fixed:
-            words = "k as fixed"
-        elif name in bench.measured:
-            words = "k as torque over the logged current gives it"
-        elif name in bench.stated and name not in bench.guessed:
-            words = "Kv as stated"
-        else:
-            words = "a guessed k, as the campaign states no Kv"
-        out[name] = f"{words} (R and L go as k²)"
-    if "rotor_inertia" not in {*free, *ranges}:
-        stated = "rotor_inertia" in {*fixed, *bench.measured}
-        out["rotor_inertia"] = "I^r as stated" if stated else "I^r of another motor (Table I)"
     return out

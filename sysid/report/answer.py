@@ -43,7 +43,7 @@ class Reopened:
     truth : mapping
         True values by parameter [SI], of a synthesized campaign.
     evidence : mapping
-        Points behind what the fit takes as known, see `sysid.fit.problem.Problem.evidence`.
+        Points behind what the fit takes as known, see `sysid.fit.story.Story.evidence`.
     """
 
     band: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)

@@ -166,7 +166,7 @@ class JudgedTrial(Part):
 
 
 class ValidatedTrial(JudgedTrial):
-    """A validated trial; further keys are its kind's, see `sysid.fit.problem.Problem.beyond`."""
+    """A validated trial; further keys are its kind's, see `sysid.fit.story.Story.beyond`."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Open]

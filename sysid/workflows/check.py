@@ -47,7 +47,10 @@ def check_campaign(
                 journal.add(finding)
             whole = kind.open(campaign, path, threads)
             # What the campaign misstates is the cause of what may fail below.
-            seen = whole.seen(journal)
+            story = kind.story(whole)
+            seen = {"quality": story.quality()}
+            journal.fold(len(whole.trials))
+            seen |= story.about()
             problem = whole.fitted.exact
             noise = problem.correlation()
             drawn = drawn_outlooks(problem, noise)
@@ -59,8 +62,8 @@ def check_campaign(
                 if made is not None:
                     candidates = rank_candidates(problem, view, made[0], tuple(made[1]), weak, drawn)
             out = _verdicts(problem, view, expected, candidates, kind.words.single)
-            out["sentences"] += whole.advice([row.name for row in expected if row.verdict != "well"])
-            out |= {**seen, "excitation": whole.excitation()}
+            out["sentences"] += story.advice([row.name for row in expected if row.verdict != "well"])
+            out |= {**seen, "excitation": story.excitation()}
             warnings = journal.sentences()
     return CheckDocument(
         campaign=CampaignFile(file=path.name, sha256=campaign.source.sha256, name=campaign.name),

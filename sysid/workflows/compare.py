@@ -114,7 +114,7 @@ def _cross(
             # The trials are taken under the law of the fit that predicts them.
             if home.kind.under(whole.campaign, fit.settings)[0] != whole.campaign:
                 whole = open_under(fit, home.path, threads)[1]
-            predicted = predict(fit, whole.only(whole.fitted.names))
+            predicted = predict(fit, home.kind, whole.only(whole.fitted.names))
             out[i, j] = float(predicted.problem.cost.mean(predicted.scored.by_channel)[0])
             signals = zip(predicted.problem.trials, predicted.scored.signals, strict=True)
             for shown, (trial, each) in zip(trials, signals, strict=True):

@@ -31,6 +31,7 @@ from sysid.fit.search import Hooks, run_many
 from sysid.fit.settings import SearchSettings, StopRule
 from sysid.fit.stopping import CutReason, Deadline, StopFlag, stop_on_interrupt
 from sysid.fit.store import check_new_fit, write_fit
+from sysid.fit.story import Story
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
 from sysid.parameter_sets import INTERVALS
@@ -124,14 +125,17 @@ def fit_campaign(
                 for finding in ignored:
                     journal.add(finding)
                 problem = model.open(campaign, path, options.threads)
-                problem.seen(journal)
+                story = model.story(problem)
+                story.quality()
+                journal.fold(len(problem.trials))
+                story.about()
                 model.begin(problem)
             journal.fold(len(problem.trials))
             fitted = problem.fitted
             with journal.blaming():
                 expected = _expected(fitted) if options.check else {}
             limited = replace(search, stop=replace(search.stop, time_limit=deadline.left))
-            identity, candidate_time = _identity(search, problem, fitted)
+            identity, candidate_time = _identity(search, story, fitted)
             checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
             until_done.callback(checkpoint.close)
             # From here on Ctrl-C is a flag: what was found so far is kept.
@@ -140,7 +144,7 @@ def fit_campaign(
             sets = ranked_sets(runs, problem.space)
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
             judged = _judged(problem.fitted.exact, outcome)
-            record = {**provenance(search, problem, folder), **expected, "adequacy": judged.model_dump()}
+            record = {**provenance(search, story, folder), **expected, "adequacy": judged.model_dump()}
             result = _result(model.name, problem, runs, _unread(outcome, judged), record)
             assessed = options.trust and outcome.cut is None
             # A spread of the sets beside an interval is a second claim; of a wrong model it is none.
@@ -233,7 +237,7 @@ def _expected(fitted: Problem) -> dict[str, Any]:
     return {"expected": [parameter.model_dump() for parameter in rows]}
 
 
-def _identity(settings: SearchSettings, problem: Problem, fitted: Problem) -> tuple[dict[str, Any], float]:
+def _identity(settings: SearchSettings, story: Story, fitted: Problem) -> tuple[dict[str, Any], float]:
     """Return what must be equal for the fit to be continued, and the time that a candidate takes [s]."""
     # What no hash of a log or a table covers (a static log, a kernel) shows in the costs of some candidates.
     points = np.random.default_rng(0).random((_PROBES, len(fitted.space.free)))
@@ -242,7 +246,7 @@ def _identity(settings: SearchSettings, problem: Problem, fitted: Problem) -> tu
     began = time.perf_counter()
     fitted.evaluate(points)
     candidate_time = (time.perf_counter() - began) / _PROBES
-    identity = fit_identity(settings, problem)
+    identity = fit_identity(settings, story)
     return {**identity, PROBES: costs, PROCESSOR: processor()}, candidate_time
 
 

@@ -39,7 +39,7 @@ def register(kind: Kind, report: str = _ANY_REPORT) -> None:
     >>> from sysid.campaign.common import CampaignTable, TomlTable, TrialTable
     >>> from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
     >>> from sysid.fit.problem import Problem
-    >>> from sysid.fit.trial import Scores, Trial
+    >>> from sysid.fit.trial import Prediction, Trial
     >>> from sysid.parameters import Parameter, ParameterTable
     >>> from sysid.recording import file_sha256
     >>> rate = Parameter("decay_rate", "λ", "1/s", 1.0, 0.1, 10.0, "log", "Share lost per second.", "guess")
@@ -55,7 +55,6 @@ def register(kind: Kind, report: str = _ANY_REPORT) -> None:
     ...     campaign: DecayCampaign
     ...     space: object
     ...     prepared: tuple
-    ...     channels, units = ("level",), ("1",)
     ...     trials = property(lambda self: self.prepared)
     ...     @cached_property
     ...     def cost(self):
@@ -63,12 +62,10 @@ def register(kind: Kind, report: str = _ANY_REPORT) -> None:
     ...         return FilteredNrmse(targets, [CostChannel("level", "1", 0)], self.campaign.cost.denominator)
     ...     def only(self, names):
     ...         return replace(self, prepared=tuple(t for t in self.prepared if t.name in names))
-    ...     def signals(self, rows):
-    ...         out = [np.exp(-rows[:, :1] * trial.time)[:, :, None] for trial in self.trials]
-    ...         return tuple(out), np.zeros((len(rows), len(out)), bool)
-    ...     def score(self, rows):
-    ...         scored = self.cost(np.concatenate(self.signals(rows)[0], axis=1))
-    ...         return Scores(scored.by_channel, scored.failed.astype(np.int8))
+    ...     def predict(self, rows):
+    ...         signals = tuple(np.exp(-rows[:, :1] * trial.time)[:, :, None] for trial in self.trials)
+    ...         scored = self.cost(np.concatenate(signals, axis=1))
+    ...         return Prediction(scored.by_channel, scored.failed.astype(np.int8), signals)
     >>> def read(campaign, path, threads):
     ...     trials = []
     ...     for entry in campaign.trials:

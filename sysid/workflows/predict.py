@@ -17,6 +17,7 @@ from sysid.fit.kind import Kind, Words
 from sysid.fit.problem import ASSUMED_NOISE, Problem
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
+from sysid.fit.story import Story
 from sysid.fit.trial import Prediction
 from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
@@ -49,6 +50,7 @@ class Predicted:
     """
 
     problem: Problem
+    story: Story
     rows: FloatArray
     scored: Prediction
 
@@ -70,15 +72,15 @@ class Predicted:
             noise=floor[t],
             weights=problem.cost.weights,
             channels=problem.channels,
-            contacts=problem.contacts(t, self.rows[best]),
+            contacts=self.story.contacts(t, self.rows[best]),
         )
 
 
-def predict(fit: FitResult, problem: Problem, values: FloatArray | None = None) -> Predicted:
+def predict(fit: FitResult, kind: Kind, problem: Problem, values: FloatArray | None = None) -> Predicted:
     """Predict the trials of a problem by a fit, or by other `values` (S, n) [SI] of its parameters."""
     problem = problem.exact
     rows = problem.adopt(fit, values)
-    return Predicted(problem, rows, problem.predict(rows))
+    return Predicted(problem, kind.story(problem), rows, problem.predict(rows))
 
 
 def open_under(fit: FitResult, path: Path, threads: int | None = None) -> tuple[Kind, Problem]:
@@ -121,7 +123,7 @@ def predicted_fit(fit: FitResult, path: Path) -> FitResult:
     the fit.
     """
     with Journal() as journal:
-        _, whole = open_under(fit, path)
+        kind, whole = open_under(fit, path)
         fresh = set(_without_logs(fit, whole, {trial.name for trial in fit.trials}))
         names = [name for name in unseen(fit, whole, path) if name in fresh]
         if not names:
@@ -129,10 +131,10 @@ def predicted_fit(fit: FitResult, path: Path) -> FitResult:
                 f"{path}: every trial in it is one of {fit.name}, whose report shows the ones held back "
                 "anyway; leave --against out, or name a campaign with other logs"
             )
-        predicted = predict(fit, whole.only(names))
+        predicted = predict(fit, kind, whole.only(names))
         problem = predicted.problem
         trials = problem.results(predicted.rows)
-    logs = {name: log for name, log in problem.logs.items() if name in names}
+    logs = {name: log for name, log in predicted.story.logs.items() if name in names}
     return replace(
         fit,
         name=problem.campaign.name,
@@ -158,15 +160,15 @@ def validate_fit(
     with Journal(say) as journal:
         kind, whole = open_under(result, campaign_path, threads)
         journal.noun = kind.words.trials
-        predicted = predict(result, whole.only(unseen(result, whole, campaign_path)))
+        predicted = predict(result, kind, whole.only(unseen(result, whole, campaign_path)))
         problem = predicted.problem
         journal.fold(len(problem.trials))
         _notice_assumed(problem)
-        floor = problem.floor_by_channel(predicted.rows[0])
+        floor = predicted.story.floor(predicted.rows[0])
         judged = [predicted.judge(t, slice(None), floor) for t in range(len(problem.trials))]
         _notice_unlike(judged, kind.words)
         stated = stated_campaign(problem.campaign.source, folder)
-        more = problem.beyond(predicted.rows)
+        more = predicted.story.beyond(predicted.rows)
         document = ValidationDocument(
             part=free_part(folder, validation_part(problem.campaign.name), stated),
             fit=result.name,
@@ -243,8 +245,8 @@ def cross_validate(
         decoded = space.decode(refits.points)
         values = np.repeat(result.values[:1], len(decoded), axis=0)
         values[:, [names.index(name) for name in space.names]] = decoded
-        predicted = predict(result, opened.whole.only(problem.names), values)
-        floor = predicted.problem.floor_by_channel(space.full(linear.point[None])[0])
+        predicted = predict(result, opened.kind, opened.whole.only(problem.names), values)
+        floor = predicted.story.floor(space.full(linear.point[None])[0])
         judged = [predicted.judge(t, slice(t, t + 1), floor) for t in range(len(problem.trials))]
         document = CrossValidationDocument(
             fit=result.name,

@@ -13,26 +13,26 @@ from typing import Any
 
 from sysid import __version__, exact_json
 from sysid.campaign.common import CampaignSource
-from sysid.fit.problem import Problem
 from sysid.fit.provenance import CampaignFile
 from sysid.fit.search import FINISH_POPULATION
 from sysid.fit.settings import SearchSettings
+from sysid.fit.story import Story
 
 _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 
 
-def fit_identity(settings: SearchSettings, problem: Problem) -> dict[str, Any]:
+def fit_identity(settings: SearchSettings, story: Story) -> dict[str, Any]:
     """Return what must be equal for a fit to be continued; see `sysid.resume.Unfinished`.
 
-    `problem` has all trials. More runs, or another time limit, do not hinder.
+    The story is of all trials. More runs, or another time limit, do not hinder.
     """
-    space = problem.space
+    problem, space = story.problem, story.problem.space
     rows = [[str(value) for value in vars(row).values()] for row in (*space.table.values(), *space.free)]
     table = exact_json.dumps([rows, dict(space.fixed)], indent=None)
     stop = settings.stop.share(settings.runs)
     return {
         "campaign_file": problem.campaign.source.sha256,
-        **{f"log {name}": digest for name, digest in problem.hashes.items()},
+        **{f"log {name}": digest for name, digest in story.hashes.items()},
         "parameter_table": hashlib.sha256(table.encode()).hexdigest(),
         "version_of_sysid": __version__,
         "algorithm": settings.algorithm,
@@ -41,16 +41,17 @@ def fit_identity(settings: SearchSettings, problem: Problem) -> dict[str, Any]:
         "seed": settings.seed,
         "stop_rule": [stop.reading, stop.window, stop.tolerance, stop.max_generations],
         "evaluation_budget_of_a_run": stop.max_evaluations,
-        **problem.accuracy,
+        **story.accuracy,
     }  # fmt: skip
 
 
-def provenance(settings: SearchSettings, problem: Problem, folder: Path) -> dict[str, Any]:
+def provenance(settings: SearchSettings, story: Story, folder: Path) -> dict[str, Any]:
     """Return what a reader needs to repeat a fit, or to doubt it.
 
-    `problem` has all trials; the campaign's path is stored as seen from the folder of the fit.
+    The story is of all trials; the campaign's path is stored as seen from the folder of the fit.
     """
-    stop, source = settings.stop, problem.campaign.source
+    stop, problem = settings.stop, story.problem
+    source = problem.campaign.source
     return {
         "sysid": __version__,
         "git_revision": _git_revision(),
@@ -61,8 +62,8 @@ def provenance(settings: SearchSettings, problem: Problem, folder: Path) -> dict
         "cores": os.cpu_count(),
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
         "campaign": {**stated_campaign(source, folder), "text": source.text},
-        "logs": dict(problem.logs),
-        "filter": dict(problem.filters),
+        "logs": dict(story.logs),
+        "filter": dict(story.filters),
         "nrmse_denominator": problem.campaign.cost.denominator,
         "search": {
             **{

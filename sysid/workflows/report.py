@@ -57,12 +57,12 @@ def reopened(report: FitReport) -> Reopened:
     try:
         with Journal():
             opened = open_fit(report.folder, None, 1)
-            predicted = predict(report.fit, opened.whole)
+            predicted = predict(report.fit, opened.kind, opened.whole)
             band = _band(report, opened.whole.space.names, predicted.problem)
             problem, rows = predicted.problem, predicted.rows
-            noise = dict(zip(problem.names, problem.floor_by_channel(rows[0]), strict=True))
-            floor = problem.floor_by_channel(rows[0])
-            evidence = problem.evidence(rows[0])
+            floor = predicted.story.floor(rows[0])
+            noise = dict(zip(problem.names, floor, strict=True))
+            evidence = predicted.story.evidence(rows[0])
             held_out = {
                 trial.name: float(predicted.judge(t, slice(None), floor).ratio)
                 for t, trial in enumerate(problem.trials)

@@ -218,8 +218,8 @@ def _notice_trials(
 
 def _statement(opened: OpenedFit) -> str:
     """Return what the intervals rest on."""
-    known = opened.problem.known_words
-    words = " and ".join(opened.problem.given().values())
+    known = opened.kind.story.known_words
+    words = " and ".join(opened.kind.story(opened.problem).given().values())
     return _STATEMENT + (f" ({known})" if known else "") + (f"; given {words}" if words else "")
 
 
@@ -237,7 +237,7 @@ def _notes(opened: OpenedFit, boot: Solved | None) -> list[str]:
             f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end; "
             "they count in its intervals from where they are"
         )
-    given = opened.problem.given()
+    given = opened.kind.story(opened.problem).given()
     if given:
         out.append(
             f"all intervals: given {' and '.join(given.values())}; a range under parameters.measured "

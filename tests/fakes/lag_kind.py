@@ -14,7 +14,7 @@ from sysid.campaign.common import CampaignTable, TomlTable, TrialTable
 from sysid.fit.kind import Kind, Term
 from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
 from sysid.fit.problem import Problem
-from sysid.fit.trial import Scores, Trial
+from sysid.fit.trial import Prediction, Trial
 from sysid.parameters import Parameter, ParameterTable
 from sysid.workflows.kinds import register
 
@@ -48,7 +48,6 @@ class LagProblem(Problem):
     space: object
     logs_read: tuple
     threads: int | None = None
-    channels, units = ("speed",), ("rad/s",)
 
     @cached_property
     def trials(self):
@@ -65,15 +64,12 @@ class LagProblem(Problem):
     def only(self, names):
         return replace(self, logs_read=tuple(log for log in self.logs_read if log[0].name in names))
 
-    def signals(self, rows):
+    def predict(self, rows):
         gain, tau, offset = (rows[:, i, None] for i in range(3))
         out = [offset + gain * log[0].step * (1 - np.exp(-log[1] / tau)) for log in self.logs_read]
-        return tuple(y[:, :, None] for y in out), np.zeros((len(rows), len(out)), bool)
-
-    def score(self, rows):
-        signals, _ = self.signals(rows)
+        signals = tuple(y[:, :, None] for y in out)
         found = self.cost(np.concatenate(signals, axis=1), threads=self.threads)
-        return Scores(found.by_channel, found.failed.astype(np.int8))
+        return Prediction(found.by_channel, found.failed.astype(np.int8), signals)
 
 
 def open_lag(campaign, path, threads):

@@ -67,7 +67,7 @@ def test_simulation_walks_the_way_of_the_log(prepared) -> None:
     # The filtered and compared simulation of the truth against the filtered log, in one trial: what is left
     # has no memory of the steps, so it must not grow where the torque moves fastest.
     problem = problem_of(*prepared)
-    signals, _ = problem.signals(np.array([[TRUTH[name] for name in PARAMETERS]]))
+    signals = problem.predict(np.array([[TRUTH[name] for name in PARAMETERS]])).signals
     measured = problem.trials[0].measured[:, 0]
     residual = signals[0][0, :, 0] - measured
     fast = np.abs(np.gradient(measured)) > np.quantile(np.abs(np.gradient(measured)), 0.95)

@@ -5,6 +5,7 @@ import pytest
 from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, SysidWarning
+from sysid.gear.kind import notice_defaults
 from sysid.gear.model import PARAMETERS, SURFACES, parameters_on
 from sysid.gear.problem import GearProblem, gear_space, on_surface
 
@@ -49,12 +50,12 @@ def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
     space = gear_space(campaign)
     assert space.names == SURFACES["hf"].free
     with pytest.warns(SysidWarning, match="kinetic_friction is stated in the campaign and free on hf"):
-        GearProblem(campaign, space, ())._notice_defaults()
+        notice_defaults(GearProblem(campaign, space, ()))
     fixed = opened(
         tmp_path, "hf", '[parameters.fixed]\nkinetic_friction = "0.8"\n', stated="kinetic_friction = 0.8"
     )
     recwarn.clear()
-    GearProblem(fixed, gear_space(fixed), ())._notice_defaults()
+    notice_defaults(GearProblem(fixed, gear_space(fixed), ()))
     assert not [w for w in recwarn if "is stated" in str(w.message)]
     # No drop depends on where the thrust acts.
     assert not [w for w in recwarn if "thrust_point_dx" in str(w.message)]

@@ -6,6 +6,7 @@ import pytest
 
 from sysid.campaign import read_campaign
 from sysid.errors import LogError
+from sysid.gear.story import GearStory
 from sysid.journal import Journal
 from sysid.synthetic import synthesize_gear
 from sysid.synthetic.gear import LF_DROPS
@@ -28,7 +29,11 @@ def noticed(folder, *changes):
     lines = []
     try:
         with Journal(lines.append, "drops") as journal:
-            find_kind("gear").open(read_campaign(path, "gear"), path, 1).seen(journal)
+            problem = find_kind("gear").open(read_campaign(path, "gear"), path, 1)
+            story = GearStory(problem)
+            story.quality()
+            journal.fold(len(problem.trials))
+            story.about()
     except LogError as error:
         lines.append(f"refused: {error}")
     return lines

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.journal import Journal
-from sysid.motor.problem import taken_as_exact
+from sysid.motor.story import taken_as_exact
 from sysid.report.trust_tables import (
     channel_line,
     check_lines,

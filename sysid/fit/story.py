@@ -1,0 +1,97 @@
+"""What is told of a problem's trials: in `sysid check`, in the record of a fit, its report and validation."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from sysid.fit.problem import Problem
+from sysid.types import FloatArray
+
+P = TypeVar("P", bound=Problem)
+
+
+class Story(Generic[P]):
+    """Answers about the trials of a problem; a model replaces those for which it knows more than these."""
+
+    # What trust counts as uncertain besides the noise.
+    known_words: str = ""
+
+    def __init__(self, problem: P) -> None:
+        self.problem = problem
+
+    # --- the record of a fit --------------------------------------------------------------------------------
+
+    @property
+    def logs(self) -> Mapping[str, Any]:
+        """What a result states of every log, by name."""
+        return {trial.name: trial.provenance for trial in self.problem.trials}
+
+    @property
+    def hashes(self) -> Mapping[str, str]:
+        """SHA-256 of every log that the fit depends on, by name."""
+        return {trial.name: trial.digest for trial in self.problem.trials}
+
+    @property
+    def accuracy(self) -> Mapping[str, Any]:
+        """Further choices that must be equal for a fit to be continued; see `sysid.resume.Unfinished`."""
+        return {}
+
+    @property
+    def filters(self) -> Mapping[str, Any]:
+        """The filter's design."""
+        return {"kind": "none"}
+
+    # --- sysid check ----------------------------------------------------------------------------------------
+
+    def quality(self) -> list[dict[str, Any]]:
+        """Return what is stated of every log, and notice what it contradicts in the campaign.
+
+        By default of the compared instants.
+        """
+        out = []
+        for trial in self.problem.trials:
+            steps = np.diff(trial.time)
+            step = float(np.median(steps))
+            out.append({
+                "name": trial.name, "use": trial.use, "log": str(trial.provenance.get("log", "")),
+                "rate": 1.0 / step, "jitter": float(np.median(np.abs(steps - step)) / step),
+                "holes": int(np.count_nonzero(steps > 1.5 * step)), "saturated": 0.0, "suspicions": [],
+            })  # fmt: skip
+        return out
+
+    def about(self) -> dict[str, Any]:
+        """Return further keys of the document of `sysid check`, and notice what contradicts the campaign."""
+        return {}
+
+    def excitation(self) -> dict[str, Any]:
+        """Return what the trials excite: a range [low, high] or a number by name."""
+        return {}
+
+    def advice(self, weak: Collection[str]) -> list[str]:
+        """Return what to record for parameters that the trials do not determine well."""
+        return []
+
+    # --- trust, report and validation -----------------------------------------------------------------------
+
+    def given(self) -> Mapping[str, str]:
+        """Return what the intervals take as exact, by the parameter whose range would count."""
+        return {}
+
+    def floor(self, row: FloatArray) -> FloatArray:
+        """Return `Problem.floors` (T, C) [channel units] at a row (n_table,) [SI]; NaN where not known."""
+        return self.problem.noise
+
+    def contacts(self, trial: int, row: FloatArray) -> FloatArray | None:
+        """Return contacts (k,) [s] of a trial predicted by a row (n_table,) [SI]; None of a model without."""
+        return None
+
+    def evidence(self, row: FloatArray) -> Mapping[str, tuple[FloatArray, FloatArray]]:
+        """Return points behind what the fit takes as known at a row (n_table,): x and y (n,) [SI] by name."""
+        return {}
+
+    def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
+        """Return what a validation adds to the scores of each trial, predicted by rows (S, n_table) [SI]."""
+        return [{} for _ in self.problem.trials]

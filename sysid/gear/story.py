@@ -1,0 +1,118 @@
+"""What is told of drops: the quality of their logs, what they excite, their contacts and resting places."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sysid.campaign.file import resolve_log
+from sysid.fit.story import Story
+from sysid.gear.beyond_window import centre_of_mass, stopping
+from sysid.gear.drops import PreparedDrop, lowpass_of, read_drop_log
+from sysid.gear.model import PARAMETERS, EventKind, simulate
+from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
+from sysid.gear.problem import ONE_TOUCHDOWN, GearProblem
+from sysid.trials.look import inspect_recording, log_quality
+from sysid.types import FloatArray
+
+
+class GearStory(Story[GearProblem]):
+    """What is told of the drops of a problem."""
+
+    @property
+    def accuracy(self) -> Mapping[str, Any]:
+        """The law and the tolerance."""
+        law = self.problem.campaign.surface.law
+        return {"friction_law": law, "accuracy_of_a_simulation": self.problem.tolerance}
+
+    @property
+    def filters(self) -> Mapping[str, Any]:
+        """The low-pass at the rate of the first drop."""
+        lowpass = lowpass_of(self.problem.campaign, self.problem.drops[0].motion.rate)
+        if lowpass is None:
+            return {"kind": "none"}
+        return lowpass.design() | {"simulation_filtered": self.problem.campaign.filter.filter_simulation}
+
+    def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
+        """Return slope and resting place of every drop, over the sets and the starts' uncertainty.
+
+        ``stop``: place [m, down-slope] and time [s] since the first touchdown, each measured, mean and sigma.
+        """
+        stops = [
+            stopping(drop, rows, self.problem.board_length, **self.problem.simulation)
+            for drop in self.problem.drops
+        ]
+        return [
+            {"slope_deg": float(np.degrees(drop.slope)), "stop": stop}
+            for drop, stop in zip(self.problem.drops, stops, strict=True)
+        ]
+
+    def quality(self) -> list[dict[str, Any]]:
+        """Return how good every log is, and how its fall begins and ends."""
+        notice_odd_vehicle(self.problem.campaign)
+        return [self._quality(drop) for drop in self.problem.drops]
+
+    def _quality(self, drop: PreparedDrop) -> dict[str, Any]:
+        assert self.problem.path is not None
+        campaign, flight, motion = self.problem.campaign, drop.flight, drop.motion
+        trial = next(entry for entry in campaign.trials if entry.name == drop.name)
+        log = resolve_log(self.problem.path, trial.log)
+        recording = read_drop_log(campaign, log, trial.rigid_body, trial.log_options.model_dump_json())
+        report = inspect_recording(recording, campaign.vehicle.gravity)
+        notice_contradictions(campaign, trial, report.drop)
+        window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
+        tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
+        stated = ("slope_deg", "release", "touchdown", "impact_speed", "notes")
+        return {
+            **log_quality(drop.name, drop.use, report),
+            **{key: drop.provenance[key] for key in stated},
+            "noise": dict(zip(("x", "z", "pitch"), flight.noise.tolist(), strict=True)),
+            "gravity": flight.measured_gravity,
+            "gravity_error": _fall_error(drop),
+            "held": flight.held,
+            "lost_in_window": int(np.sum(~motion.valid[window])),
+            "out_of_plane_deg": float(np.degrees(tilt)),
+        }
+
+    def excitation(self) -> dict[str, Any]:
+        """Return the ranges of slopes [deg], impact speeds [m/s] and largest pitch rates [rad/s]."""
+        drops = self.problem.fitted.drops
+        rates = [np.gradient(drop.target.measured[:, 4], 1 / drop.motion.rate) for drop in drops]
+        spans = {
+            "slope_deg": [float(np.degrees(drop.slope)) for drop in drops],
+            "impact_speed": [drop.impact_speed for drop in drops],
+            "pitch_rate": [float(np.nanmax(np.abs(rate))) for rate in rates],
+        }
+        return {name: [min(values), max(values)] for name, values in spans.items()}
+
+    def about(self) -> dict[str, Any]:
+        """Return where the centre of mass is, seen from the stated one."""
+        return {"centre_of_mass": centre_of_mass(self.problem.drops, self.problem.campaign)}
+
+    def contacts(self, trial: int, row: FloatArray) -> FloatArray:
+        """Return when feet touch (k,) [s] in a prediction, on the drop's clock; within 5 ms: once."""
+        drop = self.problem.drops[trial]
+        run = simulate(
+            row[: len(PARAMETERS)], drop.slope, drop.initial_state, drop.simulated_time,
+            surface=self.problem.campaign.surface.law, tolerance=self.problem.tolerance,
+        )  # fmt: skip
+        out: list[float] = []
+        last: dict[str, float] = {}
+        for event in run.events:
+            if event.kind is EventKind.TOUCHDOWN:
+                if event.time - last.get(event.foot, -1.0) > ONE_TOUCHDOWN:
+                    out.append(event.time)
+                last[event.foot] = event.time
+        return drop.time[0] + np.array(out)
+
+
+def _fall_error(drop: PreparedDrop) -> float:
+    """Return the standard error of the g that the fall itself shows [m/s²].
+
+    Of a parabola through n samples of noise σ over a time T: σ sqrt(720/n)/T².
+    """
+    lasts = drop.touchdown - drop.flight.start
+    count = lasts * drop.motion.rate
+    return float(drop.flight.noise[1] * np.sqrt(720.0 / count) / lasts**2) if count > 3 else np.nan

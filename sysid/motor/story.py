@@ -1,0 +1,157 @@
+"""What is told of a bench: the quality of its logs, what they excite, the points behind its static curves."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sysid.fit.story import Story
+from sysid.motor.bench_logs import log_hashes
+from sysid.motor.cost import CHANNELS
+from sysid.motor.curves import supply_ratio
+from sysid.motor.inertia import spikes
+from sysid.motor.known_values import CONSTANTS, Bench
+from sysid.motor.model import PARAMETERS, unpack
+from sysid.motor.problem import MotorProblem
+from sysid.motor.static_curves import turns
+from sysid.motor.targets import filter_design
+from sysid.trials.look import inspect_recording, log_quality
+from sysid.types import FloatArray
+
+_ADVICE = {
+    "viscous_damping": (
+        "to determine k_d: a log without propeller in which the unpowered rotor coasts down; beside a "
+        "propeller its drag is lost in the error of the torque curve"
+    ),
+    "winding_inductance": (
+        "L shows in what follows a step within milliseconds: record with a load cell at 1 kHz or more"
+    ),
+    "winding_resistance": (
+        "R rests on the static curves: record more steady points, with propeller and without"
+    ),
+}
+
+
+class MotorStory(Story[MotorProblem]):
+    """What is told of the trials of a bench."""
+
+    known_words = "static curves and tares; ranges under parameters.measured"
+
+    @property
+    def hashes(self) -> Mapping[str, str]:
+        """SHA-256 of every log, of the static logs as well."""
+        return {name: log_hashes(provenance) for name, provenance in self.logs.items()}
+
+    @property
+    def logs(self) -> Mapping[str, Any]:
+        """What a result states of every log, of the static logs as well."""
+        return {trial.entry.name: trial.provenance for trial in self.problem.bench.trials} | {
+            log.name: log.provenance for log in self.problem.bench.curves.logs
+        }
+
+    @property
+    def filters(self) -> Mapping[str, Any]:
+        """The filter of the fast logs, and which logs went without."""
+        return filter_design(self.problem.campaign, [trial.log for trial in self.problem.bench.trials])
+
+    def quality(self) -> list[dict[str, Any]]:
+        """Return how good every log is, without what reading it has put right: tare and signs."""
+        out = []
+        for trial in self.problem.prepared:
+            report, entry = inspect_recording(trial.log.recording), trial.entry
+            handled = ["no-tare"] * bool(trial.log.tares) + ["thrust-falls"] * (entry.direction != "forward")
+            left = tuple(finding for finding in report.suspicions if finding.code not in handled)
+            quality = log_quality(entry.name, entry.use, replace(report, suspicions=left))
+            out.append(quality | {"second_log": trial.log.second})
+        return out
+
+    def excitation(self) -> dict[str, Any]:
+        """Return the ranges of commands and speeds [rad/s], and the numbers of commands and reversals."""
+        commands = np.concatenate([trial.log.steps.level for trial in self.problem.prepared])
+        targets = (trial.target for trial in self.problem.bench.fitted)
+        speeds = np.concatenate([target.measured[target.valid[:, 1], 1] for target in targets])
+        return {
+            "command": [float(commands.min()), float(commands.max())],
+            "commands": commands.size,
+            "speed": [float(speeds.min()), float(speeds.max())],
+            "reversals": sum(trial.entry.direction == "reversal" for trial in self.problem.prepared),
+        }
+
+    def advice(self, weak: Collection[str]) -> list[str]:
+        """Return what to record next for the parameters that bench trials do not determine well."""
+        out = [sentence for name, sentence in _ADVICE.items() if name in weak]
+        if not any(trial.entry.direction == "reversal" for trial in self.problem.prepared):
+            out.append("no reversal was recorded: nothing shows I_sat and Ω_min, which decide its delay")
+        return out
+
+    def given(self) -> Mapping[str, str]:
+        """Return what the intervals take as exact."""
+        fixed = self.problem.campaign.parameters.fixed
+        return taken_as_exact(self.problem.space.names, self.problem.ranges, self.problem.bench, fixed)
+
+    def floor(self, row: FloatArray) -> FloatArray:
+        """Return the floors (T, 2) [channel units]; NaN where a channel has no weight."""
+        out = np.full((len(self.problem.prepared), len(CHANNELS)), np.nan)
+        for block, level in zip(self.problem.blocks, self.problem.floors(row), strict=True):
+            out[block.trial, block.channel] = level
+        return out * self.problem.cost.denominators
+
+    def evidence(self, row: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Return steady points as (Ω, thrust), (Ω, torque) and (u, Ω_0), and spikes as (dΩ/dt, torque).
+
+        Ω_0 of loaded points is lifted by what the drag of the row takes. The names are a quantity and a
+        direction, ``thrust_forward``; ``spikes_up`` has torque above the static one.
+        """
+        curves, out = self.problem.bench.curves, {}
+        values = unpack(self.problem.complete(row[None])[0], self.problem.space.table)
+        drop = values["winding_resistance"] / (values["torque_constant"] * values["back_emf_constant"])
+        for direction, points in curves.loaded.items():
+            turning = turns(points.speed, direction)
+            for name in ("thrust", "torque"):
+                out[f"{name}_{direction}"] = points.speed[turning], getattr(points, name)[turning]
+            if direction in curves.ties:
+                tie = curves.ties[direction]
+                speed, torque = tie.points.T
+                lifted = speed + drop * (torque + values["viscous_damping"] * speed)
+                out[f"no_load_{direction}"] = tie.columns[:, 0], lifted
+        for log in curves.logs:
+            if log.table == "no_load":
+                ratio = supply_ratio(log.points, curves.reference_voltage)
+                out[f"no_load_{log.entry.direction}"] = log.points.u, log.points.speed / ratio
+        table = PARAMETERS.filled(values)
+        found = list(spikes(self.problem.campaign, [trial.log for trial in self.problem.bench.fitted], table))
+        for kind in dict.fromkeys(each[0] for each in found):
+            parts = [each[1:] for each in found if each[0] == kind]
+            acceleration, excess = (np.concatenate(each) for each in zip(*parts, strict=True))
+            out[f"spikes_{kind}"] = acceleration, excess
+        return out
+
+
+def taken_as_exact(
+    free: Collection[str], ranges: Collection[str], bench: Bench, fixed: Collection[str]
+) -> dict[str, str]:
+    """Return what a motor's intervals take as exact, in words, by the parameter whose range would count.
+
+    `free`, `ranges` and `fixed` are the names that are free, have a stated range, are fixed by the campaign.
+    """
+    out = {}
+    constants = [name for name in CONSTANTS if name not in free]
+    # Either of the pair moves the other.
+    if constants and not {*constants} & {*ranges}:
+        name = constants[0]
+        if name in fixed:
+            words = "k as fixed"
+        elif name in bench.measured:
+            words = "k as torque over the logged current gives it"
+        elif name in bench.stated and name not in bench.guessed:
+            words = "Kv as stated"
+        else:
+            words = "a guessed k, as the campaign states no Kv"
+        out[name] = f"{words} (R and L go as k²)"
+    if "rotor_inertia" not in {*free, *ranges}:
+        stated = "rotor_inertia" in {*fixed, *bench.measured}
+        out["rotor_inertia"] = "I^r as stated" if stated else "I^r of another motor (Table I)"
+    return out
