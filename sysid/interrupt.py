@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-# Between two attempts [s].
+# Pause between two attempts [s].
 _AGAIN = 0.05
 
 

@@ -117,7 +117,7 @@ class Journal:
         show = warnings.showwarning
 
         def hear(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
-            # From a thread that knows no journal, or from a foreign loader.
+            # A thread that knows no journal, or a foreign loader, has warned.
             if issubclass(category, SysidWarning):
                 self.add(Finding("warning", str(message)))
             else:
@@ -152,7 +152,7 @@ class Journal:
         if trials is not None:
             self.trials = trials
         waiting, self._waiting = self._waiting, []
-        # What the campaign misstates comes before its symptoms.
+        # Misstated values of the campaign come before their symptoms.
         for finding in sorted(folded(waiting), key=lambda one: not one.code.startswith(_MISSTATED)):
             self._findings.append(finding)
             self._print(finding)

@@ -22,7 +22,7 @@ _SPELLINGS = {
     "ºC": "degC", "º": "deg", "": "1", "-": "1",
 }  # fmt: skip
 
-# What a speed of rotation in revolutions per minute is written as, without its revolutions.
+# Spellings of revolutions per minute that leave the revolutions out.
 _PER_MINUTE = ("1/min", "min^-1", "min⁻¹", "min-1")
 
 _QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")

@@ -82,7 +82,7 @@ TABLE_2: dict[str, Printed] = {
     "leg_mass_fraction": (0.5, "fixed", f"{_UNPRINTED}: the middle of the leg"),
     "slip_regularization": (0.01, "fixed", f"{_UNPRINTED}: a slip speed small against the fitted ones"),
 }  # fmt: skip
-# What the low-friction column does not fit.
+# Parameters that the low-friction column does not fit.
 TABLE_2_LF: dict[str, Printed] = {
     "leg_mass": (0.02, "measured", _MEASURED),
     "leg_inertia": (2.0e-4, "measured", "Table II, calculated"),

@@ -90,7 +90,7 @@ class PreparedDrop:
 def cost_channels(campaign: GearCampaign) -> tuple[CostChannel, ...]:
     """Return the five compared channels with the campaign's weights, as columns of (x, z, q, rates)."""
     weights = campaign.cost.weights
-    # Where the log alone was filtered, the simulation's own rates are compared.
+    # If only the log was filtered, the simulation's own rates are compared.
     derived = _same_way(campaign)
     return (
         CostChannel("x_B", "m", 0, weight=weights.x_B),
@@ -126,7 +126,7 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
         try:
             drops.append(_Preparation(campaign, trial, recording, rest).drop())
         except LogError:
-            # What the campaign misstates is the likely cause, so it is named first.
+            # A misstated value of the campaign is the likely cause, so it is named first.
             seen = inspect_recording(recording, campaign.vehicle.gravity)
             notice_contradictions(campaign, trial, seen.drop)
             raise

@@ -29,11 +29,11 @@ Use = Literal["fit", "validate"]
 
 _BODY = "F450"
 _BOARD_MARKERS = ("board-1", "board-2", "board-3")
-# Of a marker's centre above the board [m].
+# Height of a marker's centre above the board [m].
 _MARKER_HEIGHT = 7e-3
-# From the rigid body's origin to the centre of mass, along the body's axes (capture axes when level) [m].
+# Vector from the rigid body's origin to the centre of mass, in the body's axes (capture axes when level) [m].
 _CENTRE_OF_MASS = (0.004, -0.022, 0.003)
-# Of the board's hinge line in the room, along (down-slope, into the page, up) [m].
+# Place of the board's hinge line in the room, along (down-slope, into the page, up) [m].
 _HINGE = (0.8125, -0.3640, 0.4305)
 # How far the rigid body's axes are from level while the drone hangs level: pitch, roll, yaw [deg].
 _BODY_AXES_DEG = (0.6, -0.4, 0.3)
@@ -42,7 +42,8 @@ _AFTER_CONTACT = 1.05
 _EPOCH = 1_700_000_000.0
 
 
-# Of the keys in the truth file. The state is from the surface point, the travel along the slope in 0.7 s.
+# Units of the keys in the truth file. The state counts from the surface point, the travel is along the slope
+# in 0.7 s.
 _FACT_UNITS = {
     "Hz": "rate",
     "m": "position surface_point centre_of_mass_offset marker_height fall_height x_B z_B travel",

@@ -40,7 +40,7 @@ TRUE_MOTOR = {
 }  # fmt: skip
 
 
-# Of the keys in the truth file. Command steps are pairs of time [s] and command [1].
+# Units of the keys in the truth file. Command steps are pairs of time [s] and command [1].
 _FACT_UNITS = {
     "Hz": "rate",
     "N": "force tare_force tare_thrust",
