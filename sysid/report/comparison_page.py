@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from sysid.documents import channel_symbol, rounded
 from sysid.fit.result import FitResult
 from sysid.parameter_sets import ParameterSets, in_place_of_digits
 from sysid.report.answer import answer_box
-from sysid.report.drawing import RUNS, WIDTH, as_math, display_of, panel, percent_text, tidy
+from sysid.report.drawing import RUNS, as_math, display_of, panel, percent_text
 from sysid.report.html import (
     NOTHING,
     Html,
@@ -26,10 +27,9 @@ from sysid.report.html import (
     page,
     paragraph,
     picture,
-    side_by_side,
     unfoldable,
 )
-from sysid.report.plots import SERIES, Curve, Panel, View, interactive
+from sysid.report.plots import SERIES, Curve, Panel, View, interactive, printed
 from sysid.report.table import NONE, Cell, Table, name_and_unit, numbers, table, words
 from sysid.report.trust_tables import TONES, comparison_table, cross_table
 from sysid.trust.comparison import Comparison
@@ -190,18 +190,13 @@ def _intervals_figure(document: Comparison, fits: Sequence[ComparedFit]) -> Figu
 
 
 def _traces(fits: Sequence[ComparedFit]) -> Html:
-    views, pieces = [], []
-    for fit in fits:
-        for k, trial in enumerate(fit.trials):
-            view = _view(fit, trial)
-            views.append(view)
-            if k == 0:  # paper has one trial of each fit
-                pieces.append(
-                    picture(_figure(view), f"{view.title}: measured, and predicted by every fit", view.title)
-                )
-    if not views:
+    views = [[_view(fit, trial) for trial in fit.trials] for fit in fits]
+    every = list(chain.from_iterable(views))
+    if not every:
         return paragraph("No trials are in these fits.", "note")
-    return interactive(views, "traces of all fits", side_by_side(pieces), noun="trial")
+    # Paper has one trial of each fit.
+    static = printed([each[0] for each in views if each])
+    return interactive(every, "traces of all fits", static, noun="trial")
 
 
 def _view(fit: ComparedFit, trial: OverlaidTrial) -> View:
@@ -222,18 +217,3 @@ def _view(fit: ComparedFit, trial: OverlaidTrial) -> View:
         name = channel_symbol(fit.fit.channels[c])
         panels += [Panel(name, unit, curves), Panel(f"residuals of {name}", unit, errors, low=True)]
     return View(f"{fit.sets.name}: {trial.name}", f"{trial.name} of {fit.sets.name}", time, panels)
-
-
-def _figure(view: View) -> Figure:
-    """Draw the channels of a view for paper."""
-    shown = [each for each in view.panels if not each.low]
-    figure, every = panel(1.3 * len(shown) + 0.6, WIDTH, nrows=len(shown), sharex=True, squeeze=False)
-    for axes, each in zip(every.ravel(), shown, strict=True):
-        for k, curve in enumerate(each.curves):
-            colour, width = ("black", 1.8) if k == 0 else (RUNS[k - 1], 1.0)
-            axes.plot(view.x, curve.values, color=colour, linewidth=width, label=curve.label)
-        axes.set_ylabel(f"{each.label} [{each.unit}]", fontsize=8)
-    every.ravel()[0].legend(fontsize=7, frameon=False)
-    every.ravel()[-1].set_xlabel("time [s]")
-    tidy(*every.ravel())
-    return figure

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable
-from itertools import pairwise
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from sysid.errors import ExportError
 from sysid.fit.result import FitResult
 from sysid.storage import write_file
-from sysid.types import FloatArray
+from sysid.types import FloatArray, IntArray
 
 MEASURED = "#000000"
 BEST = "#D55E00"
@@ -37,7 +36,7 @@ USES = {"fit": "fitted", "validate": "not fitted"}
 # Width of a figure on a page that a phone shows too [in].
 WIDTH = 4.3
 
-# Points of a curve beyond which only the least and the largest value of every stretch are drawn.
+# Number of a curve's points beyond which only the least and the largest of every stretch are drawn.
 _POINTS = 900
 # Display of a channel: label, unit, and the factor from SI.
 _DISPLAY: dict[str, tuple[str, str, float]] = {
@@ -56,7 +55,17 @@ _FORMATS = (".png", ".pdf", ".svg")
 _INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
 
 
-# What a legend says: a colour, how it is drawn (``line``, ``thick``, ``dots``, ``bar`` or ``area``), words.
+# Drawing of each look of a curve, and of the bars of a legend.
+LOOKS: dict[str, dict[str, Any]] = {
+    "line": {"linewidth": 1.3},
+    "thin": {"linewidth": 0.8},
+    "thick": {"linewidth": 2.2},
+    "bar": {"linewidth": 3.0},
+    "dashed": {"linewidth": 1.3, "linestyle": "--"},
+    "dots": {"linestyle": "none", "marker": ".", "markersize": 3.0},
+    "steps": {"linewidth": 1.3, "drawstyle": "steps-post"},
+}
+# A line of a legend: a colour, how it is drawn (a key of `LOOKS`, or ``area``), words.
 Entry = tuple[str, str, str]
 
 
@@ -83,12 +92,10 @@ def panels(
 
 def draw_legend(figure: Figure, entries: Iterable[Entry], place: Any, ncols: int, **look: Any) -> None:
     """Draw a legend for all panels of a figure."""
-    looks: dict[str, dict[str, Any]] = {"dots": {"linestyle": "none", "marker": "."}}
-    looks |= {kind: {"linewidth": width} for kind, width in (("line", 1.3), ("thick", 2.2), ("bar", 3.0))}
     handles = [
         Patch(color=colour, label=words)
         if kind == "area"
-        else Line2D([], [], color=colour, label=words, **looks[kind])
+        else Line2D([], [], color=colour, label=words, **LOOKS[kind])
         for colour, kind, words in entries
     ]
     figure.legend(handles=handles, loc=place, ncols=ncols, frameon=False, **look)
@@ -131,18 +138,23 @@ def _draw_grid(panels: Iterable[Axes]) -> None:
         axes.set_axisbelow(True)
 
 
+def peaks(curves: Sequence[FloatArray], points: int) -> IntArray:
+    """Return which `points` at most of curves (n,) look like all: least and largest of every stretch."""
+    count = len(curves[0])
+    if count <= points:
+        return np.arange(count)
+    edges = np.linspace(0, count, points // (2 * len(curves) + 1)).astype(int)[:-1]
+    kept = [edges, np.array([count - 1])]
+    for values in curves:
+        for worst, extreme in ((np.inf, np.argmin), (-np.inf, np.argmax)):
+            stretches = np.split(np.where(np.isfinite(values), values, worst), edges[1:])
+            kept.append(edges + [int(extreme(stretch)) for stretch in stretches])
+    return np.unique(np.concatenate(kept))
+
+
 def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tuple[FloatArray, FloatArray]:
-    """Return a curve (k,) that looks like one (n,) with few points: least and largest of every stretch."""
-    if len(time) <= points:
-        return time, values
-    edges = np.linspace(0, len(time), points // 2 + 1).astype(int)
-    kept: list[int] = []
-    for first, end in pairwise(edges):
-        part = values[first:end]
-        if not np.any(np.isfinite(part)):
-            kept.append(int(first))
-            continue
-        kept += sorted({int(first) + int(np.nanargmin(part)), int(first) + int(np.nanargmax(part))})
+    """Return a curve (k,) that looks like one (n,) with few points."""
+    kept = peaks([values], points)
     return time[kept], values[kept]
 
 

@@ -10,45 +10,30 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from sysid.errors import ExportError
-from sysid.filters import Spectrum, runs, stated_filter
+from sysid.filters import Spectrum, stated_filter
 from sysid.fit.optima import SAME_NRMSE
 from sysid.fit.result import FitResult, TrialResult
 from sysid.report.drawing import (
     BEST,
-    MASKED,
     MEASURED,
     OTHERS,
     RUNS,
-    USES,
     WIDTH,
-    Entry,
     as_math,
     axis_label,
-    cut_to,
     display_of,
-    draw_legend,
     panel,
     paper,
     percent_text,
     plain_powers,
-    thinned,
-    tidy,
 )
 from sysid.trust.documents import FreeParameter, TrustDocument
 from sysid.types import FloatArray
 
-# More samples than this are drawn as a line instead of dots.
-_DENSE = 400
-# Colours of the rows of bars below a trial's signals.
-_BARS = ("#009E73", "#CC79A7", "#E69F00")
-# Shorter bars are widened to this, to be seen [s].
-_SHORTEST_BAR = 2e-3
 # Markers of optima, best first.
 _MARKERS = "osD^vP*X"
 
@@ -59,142 +44,11 @@ _LIMITS = ((0.988946, "68 %"), (3.841459, "95 %"))
 Bars = Mapping[str, Sequence[tuple[float, float]]]
 
 
-def figure_measured_against_simulated(
-    fit: FitResult, trial: str | None = None, *, bars: Bars | None = None
-) -> Figure:
-    """Draw what was measured and what each set simulates: a column per trial, a row per channel.
-
-    The residual of the best set is drawn below each channel. Samples that did not count are not drawn; where
-    they were lost for every channel the time is shaded (an occlusion, a stall of the logger). A `trial` by
-    name is drawn alone, `bars` are drawn below the signals; an ExportError names an unknown trial.
-    """
-    trials = [candidate for candidate in fit.trials if trial in (None, candidate.name)]
-    if not trials:
-        known = ", ".join(candidate.name for candidate in fit.trials) or "none; fit again"
-        which = "" if trial is None else f" {trial!r}"
-        raise ExportError(f"{fit.name}: no trial{which} to draw; found {known}")
-    rows, columns = len(fit.channels), len(trials)
-    # At least as wide as a legend with rows of bars.
-    width, height = max(11.0, 1.2 + 3.1 * columns), 1.7 + 2.5 * rows
-    # Fixed margins: laying out eighty axes automatically takes longer than drawing them.
-    figure = Figure(figsize=(width, height))
-    cells = figure.add_gridspec(
-        rows, columns, left=1.0 / width, right=1.0 - 0.15 / width, bottom=0.95 / height,
-        top=1.0 - 0.95 / height, hspace=0.2, wspace=0.3,
-    )  # fmt: skip
-    first_column: list[Axes] = []
-    for t, shown in enumerate(trials):
-        shared: Axes | None = None
-        for c in range(rows):
-            pair = cells[c, t].subgridspec(2, 1, height_ratios=(2.3, 1.0), hspace=0.09)
-            signal = figure.add_subplot(pair[0], sharex=shared)
-            shared = shared or signal
-            residual = figure.add_subplot(pair[1], sharex=shared)
-            _draw_pair(signal, residual, fit, shown, c, bars or {})
-            signal.tick_params(labelbottom=False)
-            residual.tick_params(labelbottom=c == rows - 1)
-            if c == 0 and trial is None:
-                signal.set_title(
-                    f"{cut_to(shown.name, 30)}\n{USES[shown.use]}", fontsize="medium", loc="left"
-                )
-            if t == 0:
-                first_column += [signal, residual]
-            else:
-                signal.set_ylabel("")
-                residual.set_ylabel("")
-        residual.set_xlabel("time in the window [s]")
-    title = f"{fit.name}: measured against simulated ({fit.kind}); NRMSE of the best set"
-    figure.suptitle(_title(fit, trials[0]) if trial else title, y=1.0 - 0.25 / height)
-    entries = legend_of(fit, trials, list(bars or ()))
-    draw_legend(figure, entries, "lower center", 6)
-    figure.align_ylabels(first_column)
-    return figure
-
-
-def legend_of(fit: FitResult, trials: Sequence[TrialResult], bars: Sequence[str] = ()) -> list[Entry]:
-    """Return what the lines of the trials' panels mean; `bars` names the rows of bars."""
-    dense = all(len(trial.time) > _DENSE for trial in trials)
-    out = [(MEASURED, "thick" if dense else "dots", "measured"), (BEST, "line", "best set, residual")]
-    if len(fit.nrmse) > 1:
-        others = "other set" if len(fit.nrmse) == 2 else f"other {len(fit.nrmse) - 1} sets"
-        out.append((OTHERS, "line", others))
-    out += [(_BARS[i % len(_BARS)], "bar", name) for i, name in enumerate(bars)]
-    if any(_masked_runs(trial) for trial in trials):
-        out.append((MASKED, "area", "no sample counts"))
-    return out
-
-
-def _draw_pair(signal: Axes, residual: Axes, fit: FitResult, trial: TrialResult, c: int, bars: Bars) -> None:
-    """Draw a channel of a trial, and below it the residual of the best set."""
-    name, unit, factor = display_of(fit, c)
-    time, valid = trial.time - trial.time[0], trial.valid[:, c]
-    measured = np.where(valid, factor * trial.measured[:, c], np.nan)
-    for s in range(len(trial.simulated) - 1, -1, -1):
-        colour, width, order = (BEST, 1.3, 4) if s == 0 else (OTHERS, 0.8, 3)
-        curve = thinned(time, factor * trial.simulated[s, :, c])
-        signal.plot(*curve, color=colour, linewidth=width, zorder=order)
-    if len(time) > _DENSE:
-        signal.plot(*thinned(time, measured), color=MEASURED, linewidth=2.0, zorder=2)
-    else:
-        signal.plot(time, measured, color=MEASURED, linestyle="none", marker=".", markersize=3.0, zorder=2)
-    # A set that went astray must not flatten the measurement it is compared with.
-    if np.any(np.isfinite(measured)):
-        low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
-        margin = 0.25 * (high - low) or 1.0
-        bottom, top = signal.get_ylim()
-        signal.set_ylim(max(bottom, low - margin), min(top, high + margin))
-    _draw_bars(signal, bars)
-    signal.set_ylabel(f"{name}{chr(10) if len(name) > 11 and '$' not in name else ' '}[{unit}]")
-    signal.set_title(f"NRMSE {percent_text(float(trial.nrmse[0, c]))}", fontsize=9.5, loc="right")
-    # Residuals of some units are easier to read in a smaller one.
-    unit, finer = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}.get(unit, (unit, 1.0))
-    error = finer * factor * (trial.simulated[0, :, c] - trial.measured[:, c])
-    residual.axhline(0.0, color="0.6", linewidth=0.8)
-    residual.plot(*thinned(time, np.where(valid, error, np.nan)), color=BEST, linewidth=0.8)
-    residual.set_ylabel(f"residual\n[{unit}]")
-    tidy(signal, residual)
-    for axes in (signal, residual):
-        axes.set_xlim(float(time[0]), float(time[-1]))
-        for first, last in _masked_runs(trial):
-            left, right = time[max(first - 1, 0)], time[min(last + 1, len(time) - 1)]
-            axes.axvspan(float(left), float(right), color=MASKED, linewidth=0, zorder=0)
-
-
-def _draw_bars(axes: Axes, bars: Bars) -> None:
-    """Draw intervals below the curves, a row per name."""
-    if not any(bars.values()):
-        return
-    low, high = axes.get_ylim()
-    row = 0.035 * (high - low)
-    bottom = low - row * (len(bars) + 0.9)
-    axes.set_ylim(bottom, high)
-    for i, intervals in enumerate(bars.values()):
-        y = bottom + row * (0.7 + i)
-        starts = [start for start, _ in intervals]
-        ends = [max(end, start + _SHORTEST_BAR) for start, end in intervals]
-        axes.hlines([y] * len(starts), starts, ends, color=_BARS[i % len(_BARS)], linewidth=3, zorder=5)
-
-
-def _masked_runs(trial: TrialResult) -> list[tuple[int, int]]:
-    """Return (first, last) sample of every run that counts for no channel."""
-    return [(first, end - 1) for first, end in runs(np.asarray(~trial.valid.any(axis=1)))]
-
-
 def trial_means(fit: FitResult, trial: TrialResult) -> FloatArray:
     """Return the NRMSE (S,) of every set on a trial, the weighted mean over the channels [1]."""
     weights = np.asarray(fit.channel_weights)
     used = weights > 0
     return np.asarray(trial.nrmse[:, used] @ (weights[used] / weights[used].sum()))
-
-
-def _title(fit: FitResult, trial: TrialResult) -> str:
-    means = trial_means(fit, trial)
-    best, low, high = (percent_text(float(mean)) for mean in (means[0], means.min(), means.max()))
-    text = f"{fit.name}, {trial.name} ({USES[trial.use]}): NRMSE {best}"
-    # Sets that score alike to the printed digits need no span.
-    if low != high:
-        text += f", {'both' if len(means) == 2 else f'all {len(means)}'} sets {low} to {high}"
-    return text
 
 
 def figure_convergence(fit: FitResult, *, wide: bool = False) -> Figure:

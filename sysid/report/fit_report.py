@@ -40,7 +40,6 @@ from sysid.report.fit_figures import (
     Bars,
     figure_convergence,
     figure_correlation,
-    figure_measured_against_simulated,
     figure_profile,
     figure_spectrum,
     figure_spread,
@@ -65,9 +64,9 @@ from sysid.report.html import (
     unfoldable,
 )
 from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_table
-from sysid.report.plots import Panel, interactive
+from sysid.report.plots import Panel, View, figure_of, interactive
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
-from sysid.report.traces import trial_view
+from sysid.report.traces import figure_measured_against_simulated, trial_view
 from sysid.report.trust_tables import narrow_table, validation_table
 from sysid.trust import documents
 from sysid.trust.documents import (
@@ -363,18 +362,22 @@ class FitReport:
     @titled("Measured and simulated")
     def measured_against_simulated(self) -> Html:
         """Return every trial's channels: to be touched, and as figures for paper."""
-        views = []
-        for fit, trial in self._each():
-            names, marks = (self.key(fit, trial), self._title(fit, trial)), self.bars(fit, trial)
-            other = self.beside.fit if self.beside is not None and fit is self.fit else None
-            known = self.known if fit is self.fit else Reopened()
-            view = trial_view(fit, trial, names, marks, known, other)
-            views.append(replace(view, panels=[*view.panels, *self.more_panels(fit, trial)]))
+        views = [self.view(fit, trial) for fit, trial in self._each()]
         if not views:
             return paragraph("No trials are in this fit.", "note")
         out = interactive(views, "measured and simulated", noun=self.noun, chosen=self._first())
         about = paragraph(self.about_signals, "note") if self.about_signals else NOTHING
         return out + about + bullets(self.biases(), "warnings")
+
+    def view(self, fit: FitResult, trial: TrialResult) -> View:
+        """Return a trial's channels with what the kind adds, to be touched or as a figure."""
+        mean = percent_text(float(trial_means(fit, trial)[0]))
+        name = f"{fit.name}, {trial.name}" if fit is self.against else trial.name
+        title = f"{name} ({USES[trial.use]}{self.conditions(fit, trial)}): NRMSE {mean}"
+        other = self.beside.fit if self.beside is not None and fit is self.fit else None
+        known = self.known if fit is self.fit else Reopened()
+        view = trial_view(fit, trial, (self.key(fit, trial), title), self.bars(fit, trial), known, other)
+        return replace(view, panels=[*view.panels, *self.more_panels(fit, trial)])
 
     def biases(self) -> list[str]:
         """Return the systematic residuals of the fit in sentences."""
@@ -547,8 +550,7 @@ class FitReport:
 
     def trial_figures(self, fit: FitResult, trial: TrialResult) -> dict[str, Figure]:
         """Return the figures of one trial for a paper by file name."""
-        figure = figure_measured_against_simulated(fit, trial.name, bars=self.bars(fit, trial))
-        return {f"trial-{self.trial_name(fit, trial)}": figure}
+        return {f"trial-{self.trial_name(fit, trial)}": figure_of([self.view(fit, trial)])}
 
     def trial_name(self, fit: FitResult, trial: TrialResult) -> str:
         """Return a trial's name in the names of files."""
@@ -558,11 +560,6 @@ class FitReport:
         """Return the line that names the command which computes a missing part."""
         what = f"{what[:1].upper()}{what[1:]}"
         return paragraph(f"{what}: not computed; run {command} {self.folder}{arguments}", "note")
-
-    def _title(self, fit: FitResult, trial: TrialResult) -> str:
-        mean = percent_text(float(trial_means(fit, trial)[0]))
-        name = f"{fit.name}, {trial.name}" if fit is self.against else trial.name
-        return f"{name} ({USES[trial.use]}{self.conditions(fit, trial)}): NRMSE {mean}"
 
     def _spectra(self) -> dict[str, Figure]:
         spectra = [trial.spectrum for trial in self.trials if trial.spectrum is not None]

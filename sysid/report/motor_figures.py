@@ -1,8 +1,8 @@
-"""Figures of motors: thrust over time, and after a reversal command as in the paper's Figs. 4 and 3."""
+"""What is drawn of motors: reversals as in the paper's Figs. 3 and 4, static curves, torque spikes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,29 +10,27 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from sysid.fit.result import TrialResult
+from sysid.fit.result import FitResult, TrialResult
 from sysid.report.drawing import (
-    BEST,
-    MEASURED,
-    OTHERS,
     RUNS,
-    axis_label,
-    draw_legend,
-    panel,
     panels,
-    thinned,
-    tidy,
 )
-from sysid.report.plots import Panel
+from sysid.report.plots import Colour, Curve, Panel, View
 from sysid.trials.reversal import LEVEL, Repetitions
 from sysid.types import BoolArray, FloatArray
 
-# Drawn before the command, and beyond the slowest repetition's 90 % [s].
+# Time that is drawn before the command, and beyond the slowest repetition's 90 % [s].
 _BEFORE, _BEYOND = 0.1, 0.2
-# Drawn after a command of a fit's trial, at least where its end comes earlier [s].
+# Time that is drawn after a command of a fit's trial, and its least where the trial ends earlier [s].
 _AFTER, _LEAST = 0.5, 0.3
-# What paper shows of the colours of a page.
-_COLOURS = {"ink": MEASURED, "best": BEST, "blue": RUNS[0]}
+
+
+Points = Mapping[str, tuple[FloatArray, FloatArray]]
+# Unit of each static curve, and factor from SI.
+_UNITS = {"thrust": ("N", 1.0), "torque": ("mN·m", 1e3), "no_load": ("rad/s", 1.0)}
+_COLOURS: tuple[Colour, ...] = ("best", "blue")
+# Number of a drawn curve's places, and of the drawn points of a cloud.
+_PLACES, _MOST = 60, 600
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,69 +98,111 @@ def reversal_commands(trial: TrialResult) -> list[tuple[float, float, float]]:
     return out
 
 
-def around(trial: TrialResult, command: float) -> BoolArray:
-    """Return which samples (n,) of a trial lie around a reversal command at an instant [s]."""
-    return np.asarray((trial.time >= command - _BEFORE) & (trial.time <= command + _AFTER))
-
-
-def figure_panel(shown: Panel, x: tuple[str, str]) -> Figure:
-    """Draw a panel that a page lets touch, for paper; `x` is the label and unit of its curves' places."""
-    figure, axes = panel(3.0)
-    for curve in shown.curves:
-        look: dict[str, Any] = {"marker": ".", "linestyle": "none", "markersize": 3}
-        if curve.look != "dots":
-            look = {"linewidth": 1.2, "linestyle": "--" if curve.look == "dashed" else "-"}
-        colour = _COLOURS.get(curve.colour, OTHERS)
-        axes.plot(curve.x, curve.values, color=colour, label=curve.label, **look)
-    axes.set(xlabel=axis_label(*x), ylabel=axis_label(shown.label, shown.unit))
-    axes.legend(fontsize=7, frameon=False)
-    tidy(axes)
-    return figure
-
-
-def figure_thrust(
-    trial: TrialResult,
-    simulated: FloatArray,
-    *,
-    command: float | None = None,
-    legend: bool = False,
-) -> Figure:
-    """Draw measured and simulated thrust (S, n) [N], as in the paper's Fig. 4; commands as steps.
-
-    With `command`, an instant [s], only what lies around it is drawn, and the axis counts from there. The
-    `legend` is for a single figure.
-    """
+def thrust_panel(
+    trial: TrialResult, simulated: FloatArray, inside: BoolArray, label: str = "thrust"
+) -> Panel:
+    """Return measured and simulated thrust (S, n) [N] of the samples (n,) that are `inside`."""
     assert trial.thrust is not None
-    figure, (top, bottom) = panel(3.4, nrows=2, sharex=True, height_ratios=(2.6, 1.0))
-    inside = np.ones(len(trial.time), dtype=bool)
-    if command is not None:
-        inside = around(trial, command)
-    origin = float(trial.time[0]) if command is None else command
-    time = trial.time[inside] - origin
-    top.plot(*thinned(time, trial.thrust[inside]), color=MEASURED, linewidth=2.0)
-    for s in range(len(simulated) - 1, -1, -1):
-        colour, width = (BEST, 1.2) if s == 0 else (OTHERS, 0.8)
-        top.plot(*thinned(time, simulated[s][inside]), color=colour, linewidth=width)
-    top.set_ylabel("thrust [N]")
-    if trial.commands is not None:
-        # The last command holds to the end.
-        instants = np.append(trial.commands[:, 0] - origin, max(time[-1], trial.commands[-1, 0] - origin))
-        levels = 100 * np.append(trial.commands[:, 1], trial.commands[-1, 1])
-        bottom.step(instants, levels, where="post", color=RUNS[0])
-    reverses = trial.commands is not None and trial.commands[:, 1].min() < 0 < trial.commands[:, 1].max()
-    forward = trial.commands is None or trial.commands[:, 1].max() > 0
-    bottom.set(ylim=(-115, 115) if reverses else (-10, 115) if forward else (-115, 10))
-    bottom.set_ylabel("command\n[%]")
-    bottom.set_xlabel("time [s]" if command is None else "time after the command [s]")
-    if command is not None:
-        for axes in (top, bottom):
-            axes.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
-    if legend:
-        entries = [(MEASURED, "thick", "measured"), (BEST, "line", "best set")]
-        entries += [(OTHERS, "line", "other sets")] if len(simulated) > 1 else []
-        entries += [(RUNS[0], "line", "command")] if trial.commands is not None else []
-        draw_legend(figure, entries, "outside upper center", 4, fontsize=8)
-    top.set_xlim(float(time[0]), float(time[-1]))
-    tidy(top, bottom)
-    figure.align_ylabels([top, bottom])
-    return figure
+    curves = [Curve("other sets", each[inside], "others", "thin", scaled=False) for each in simulated[:0:-1]]
+    curves.append(Curve("measured", trial.thrust[inside], "ink"))
+    curves.append(Curve("best set", simulated[0, inside], "best", scaled=False))
+    return Panel(label, "N", curves)
+
+
+def command_panel(trial: TrialResult, inside: BoolArray) -> Panel:
+    """Return the command of a trial at the samples (n,) that are `inside`."""
+    assert trial.commands is not None
+    instants, levels = trial.commands.T
+    level = levels[np.clip(np.searchsorted(instants, trial.time[inside], side="right") - 1, 0, None)]
+    return Panel("command", "%", [Curve("command", 100 * level, "blue", "steps")], low=True)
+
+
+def curve_views(stated: Sequence[Mapping[str, Any]], points: Points) -> tuple[list[View], list[View]]:
+    """Return static curves with their points: over the speed [rad/s], and over the command [1].
+
+    `stated` are documents of `sysid.motor.static_curves.CurveFit`. Each view has the curve of both directions
+    and below what the points lie off it.
+    """
+    loaded: list[View] = []
+    bare: list[View] = []
+    for quantity, (unit, factor) in _UNITS.items():
+        curves, errors = [], []
+        rows = [row for row in stated if row["quantity"] == quantity]
+        for row, colour in zip(rows, _COLOURS, strict=False):
+            direction = row["direction"]
+            x, y = points.get(f"{quantity}_{direction}", (np.array([]), np.array([])))
+            known = np.isfinite(x) & np.isfinite(y)
+            x, y = x[known], factor * y[known]
+            end = 1.0 if quantity == "no_load" else float(np.max(np.abs(x), initial=1000.0))
+            sign = 1.0 if direction == "forward" else -1.0
+            place = sign * np.linspace(0.0 if quantity != "no_load" else 0.02, end, _PLACES)
+            if len(x):
+                # Two points of one speed are drawn beside each other: a curve has one value at a place.
+                x = x + 1e-9 * end * np.arange(len(x))
+                curves.append(Curve(f"points, {direction}", y, "ink", "dots", x=x))
+                off = y - factor * _value(quantity, row["coefficients"], x)
+                errors.append(Curve(f"off, {direction}", off, colour, "dots", x=x))
+            drawn = factor * _value(quantity, row["coefficients"], place)
+            curves.append(Curve(f"curve, {direction}", drawn, colour, x=place))
+        if not curves:
+            continue
+        name = quantity.replace("_", "-") + (" speed" if quantity == "no_load" else "")
+        panels = [Panel(name, unit, curves)]
+        panels += [Panel(f"points off the {name} curve", unit, errors, low=True)] if errors else []
+        axis = ("command u", "1") if quantity == "no_load" else ("speed", "rad/s")
+        view = View(f"static {quantity}", name, np.array([]), panels, axis=axis)
+        (bare if quantity == "no_load" else loaded).append(view)
+    return loaded, bare
+
+
+def _value(quantity: str, coefficients: Sequence[float], x: FloatArray) -> FloatArray:
+    first, second = coefficients
+    if quantity == "no_load":
+        return np.asarray(first * x + second * np.sign(x))
+    return np.asarray(first * x * np.abs(x) + second * x)
+
+
+def reversal_view(
+    fit: FitResult, trial: TrialResult, simulated: FloatArray, command: float, title: str, edge: float
+) -> View:
+    """Return thrust, speed and command around a reversal at an instant [s].
+
+    The `simulated` thrust (S, n) is that of every set [N], `edge` the speed of the dead band [rad/s].
+    """
+    inside = np.asarray((trial.time >= command - _BEFORE) & (trial.time <= command + _AFTER))
+    c = fit.channels.index("speed")
+    curves = [
+        Curve("measured", np.where(trial.valid[inside, c], trial.measured[inside, c], np.nan), "ink"),
+        Curve("best set", trial.simulated[0, inside, c], "best", scaled=False),
+    ]
+    if np.isfinite(edge):
+        band = np.full(int(inside.sum()), edge)
+        curves.insert(0, Curve("dead band", -band, "faint", upto=band, scaled=False))
+    panels = [thrust_panel(trial, simulated, inside)] if trial.thrust is not None else []
+    panels += [Panel("speed", "rad/s", curves), command_panel(trial, inside)]
+    axis = ("time after the command", "s")
+    return View(f"{trial.name} at {command:g} s", title, trial.time[inside] - command, panels, axis=axis)
+
+
+def spike_view(stated: Mapping[str, Mapping[str, Any]], points: Points, inertia: float) -> View | None:
+    """Return torque above the static one over the acceleration; None without points.
+
+    `stated` is the document of `sysid.motor.inertia.SpikeInertia`, `inertia` the best set's [kg·m²].
+    """
+    curves, far = [], 0.0
+    for kind, colour in zip(("up", "down"), _COLOURS, strict=True):
+        if f"spikes_{kind}" not in points:
+            continue
+        x, y = points[f"spikes_{kind}"]
+        every = np.unique(np.linspace(0, len(x) - 1, min(len(x), _MOST)).astype(int))
+        far = max(far, float(np.max(np.abs(x))))
+        curves.append(Curve(f"{kind}-steps", 1e3 * y[every], colour, "dots", x=x[every]))
+        ends = np.array([0.0, np.max(x) if kind == "up" else np.min(x)])
+        slope = 1e3 * stated[kind]["inertia"] * ends
+        curves.append(Curve(f"slope of {kind}-steps", slope, colour, "dashed", x=ends))
+    if not curves:
+        return None
+    ends = np.array([-far, far])
+    curves.append(Curve("best set", 1e3 * inertia * ends, "ink", x=ends, scaled=False))
+    panel = Panel("torque above the static one", "mN·m", curves)
+    return View("spikes", "torque spikes", np.array([]), [panel], axis=("acceleration", "rad/s²"))

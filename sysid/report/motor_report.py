@@ -12,18 +12,16 @@ from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.drawing import USES
 from sysid.report.fit_report import FitReport, titled
-from sysid.report.html import (
-    NOTHING,
-    Html,
-    columns,
-    definitions,
-    paragraph,
-    picture,
-    side_by_side,
+from sysid.report.html import NOTHING, Html, columns, definitions, paragraph
+from sysid.report.motor_figures import (
+    command_panel,
+    curve_views,
+    reversal_commands,
+    reversal_view,
+    spike_view,
+    thrust_panel,
 )
-from sysid.report.motor_figures import figure_panel, figure_thrust, reversal_commands
-from sysid.report.motor_traces import command_panel, curve_views, reversal_view, spike_view
-from sysid.report.plots import Curve, Panel, View, interactive
+from sysid.report.plots import Panel, View, figure_of, interactive, printed
 from sysid.report.sketches import motor_sketch
 from sysid.types import FloatArray
 
@@ -53,13 +51,11 @@ class MotorReport(FitReport):
 
     def more_panels(self, fit: FitResult, trial: TrialResult) -> list[Panel]:
         """Return the thrust, which the fit does not compare, and the command."""
-        out = []
+        every, out = np.ones(len(trial.time), dtype=bool), []
         if trial.thrust is not None and np.isfinite(trial.thrust).any():
-            best = self.simulated_thrust(fit, trial)[0]
-            curves = [Curve("measured", trial.thrust, "ink"), Curve("best set", best, "best", scaled=False)]
-            out.append(Panel("thrust, not compared", "N", curves))
+            out.append(thrust_panel(trial, self.simulated_thrust(fit, trial), every, "thrust, not compared"))
         if trial.commands is not None:
-            out.append(command_panel(trial, trial.time))
+            out.append(command_panel(trial, every))
         return out
 
     @titled(
@@ -76,10 +72,7 @@ class MotorReport(FitReport):
         if not stated:
             return paragraph("No static curve was fitted: the campaign states them.", "note")
         loaded, bare = curve_views(stated, self.known.evidence)
-        left, right = (
-            self._touched(views, "static curves", x) if views else NOTHING
-            for views, x in ((loaded, ("speed", "rad/s")), (bare, ("command u", "1")))
-        )
+        left, right = (interactive(views, "static curves") if views else NOTHING for views in (loaded, bare))
         rows = [
             (
                 f"{row['quantity'].replace('_', '-')}, {row['direction']}",
@@ -91,16 +84,6 @@ class MotorReport(FitReport):
         out = columns(left, right) + definitions(rows, "how well the points lie on the curves")
         return out if self.known.evidence else out + paragraph(_NO_POINTS, "note")
 
-    def _touched(self, views: list[View], title: str, x: tuple[str, str], static: Html = NOTHING) -> Html:
-        """Return views to be touched, and as figures for paper."""
-        drawn = [
-            picture(figure_panel(each, x), f"{view.title}: {each.label} over {x[0]}", view.title)
-            for view in views
-            for each in view.panels
-            if not each.low
-        ]
-        return interactive(views, title, static if static.text else side_by_side(drawn), x=x)
-
     @titled(
         "Reversals",
         "Thrust and speed around commands that turn the motor round; grey: the dead band, where the "
@@ -108,28 +91,17 @@ class MotorReport(FitReport):
     )
     def reversals(self) -> Html:
         """Return thrust and speed after reversal commands, in the manner of Fig. 3, and the delays."""
-        commands = [(trial, *each) for trial in self.fit.trials for each in reversal_commands(trial)]
-        if not commands:
+        views = [view for trial in self.fit.trials for view in self._reversals(self.fit, trial)]
+        if not views:
             return paragraph("No trial reverses the motor.", "note")
-        edge, views = self._best("saturation_speed"), []
-        for trial, time, before, after in commands:
-            what = f"{trial.name} ({USES[trial.use]}): from {_signed(before)} % to {_signed(after)} %"
-            thrust = self.simulated_thrust(self.fit, trial)[0]
-            views.append(reversal_view(self.fit, trial, thrust, time, what, edge))
         # Paper has a few, evenly spread, so that fitted trials and held-out trials are among them.
-        count = min(len(commands), _MOST_REVERSALS)
-        shown = np.unique(np.linspace(0, len(commands) - 1, count).round().astype(int))
-        pieces = []
-        for k in shown:
-            trial, time, *_ = commands[k]
-            figure = figure_thrust(trial, self.simulated_thrust(self.fit, trial), command=time)
-            words = f"thrust after a reversal command, measured and simulated; {views[k].title}"
-            pieces.append(picture(figure, words, views[k].title))
-        static = side_by_side(pieces)
-        if len(shown) < len(commands):
-            drawn = f"{len(shown)} of {len(commands)} reversals are drawn"
+        count = min(len(views), _MOST_REVERSALS)
+        shown = np.unique(np.linspace(0, len(views) - 1, count).round().astype(int))
+        static = printed([views[k] for k in shown])
+        if len(shown) < len(views):
+            drawn = f"{len(shown)} of {len(views)} reversals are drawn"
             static += paragraph(f"{drawn}; sysid report --figure FOLDER draws all.", "note")
-        out = interactive(views, "reversals", static, x=("time after the command", "s"), noun="reversal")
+        out = interactive(views, "reversals", static, noun="reversal")
         rows = [
             (
                 f"{row['trial']} ({row['use']}): "
@@ -152,8 +124,7 @@ class MotorReport(FitReport):
             return paragraph("The torque spikes were not looked at in this fit.", "note")
         inertia = self._best("rotor_inertia")
         view = spike_view(stated, self.known.evidence, inertia)
-        x = ("acceleration", "rad/s²")
-        out = self._touched([view], "torque spikes", x) if view else paragraph(_NO_POINTS, "note")
+        out = interactive([view], "torque spikes") if view else paragraph(_NO_POINTS, "note")
         rows = [
             (
                 f"{row['steps']} {kind}-steps",
@@ -163,14 +134,20 @@ class MotorReport(FitReport):
         ]
         return out + definitions([*rows, ("best set", f"{inertia:.4g} kg·m²")], "rotor inertia")
 
+    def _reversals(self, fit: FitResult, trial: TrialResult) -> list[View]:
+        """Return what is drawn of each reversal command in a trial."""
+        commands, views = reversal_commands(trial), []
+        thrust = self.simulated_thrust(fit, trial) if commands else np.empty((0, 0))
+        for time, before, after in commands:
+            title = f"{trial.name} ({USES[trial.use]}): from {_signed(before)} % to {_signed(after)} %"
+            views.append(reversal_view(fit, trial, thrust, time, title, self._best("saturation_speed")))
+        return views
+
     def trial_figures(self, fit: FitResult, trial: TrialResult) -> dict[str, Figure]:
-        """Return the figures of one trial, with its thrust and reversals."""
-        out = super().trial_figures(fit, trial)
-        if trial.thrust is not None:
-            name, thrust = self.trial_name(fit, trial), self.simulated_thrust(fit, trial)
-            out[f"thrust-{name}"] = figure_thrust(trial, thrust, legend=True)
-            for number, (time, _, _) in enumerate(reversal_commands(trial), start=1):
-                out[f"reversal-{name}-{number}"] = figure_thrust(trial, thrust, command=time, legend=True)
+        """Return the figures of one trial, with its reversals."""
+        out, name = super().trial_figures(fit, trial), self.trial_name(fit, trial)
+        for number, view in enumerate(self._reversals(fit, trial), start=1):
+            out[f"reversal-{name}-{number}"] = figure_of([view])
         return out
 
     def _best(self, name: str) -> float:

@@ -1,38 +1,64 @@
-"""Plots that a reader can touch: hover, zoom, pan, toggle, export; drawn in the page by uPlot (MIT).
+"""One description of curves for the screen, paper and files: views of panels of curves.
 
-`interactive` makes one from `View`s, which a reader chooses between, such as the drops of a campaign. Each
-view has panels above each other on one axis, and each panel has curves. All plots and animations of a page
-share a time cursor: views with the same `key` show the same moment. Where no script runs, and on paper, the
-panels are drawn beside each other as vectors instead.
+`interactive` shows `View`s in a page, drawn by uPlot (MIT): hover, zoom, pan, toggle, export. A reader
+chooses between views, such as the drops of a campaign. `figure_of` draws the same views with matplotlib, for
+paper, files, notebooks and pages without scripts. All plots and animations of a page share a time cursor:
+views with the same `key` show the same moment.
 
     view = View("drop-1", "drop-1: 12°", time, [Panel("z_B", "m", [Curve("measured", z, "ink", "dots")])])
-    html = interactive([view], "measured and simulated")
+    html, figure = interactive([view], "measured and simulated"), figure_of([view])
 """
 
 from __future__ import annotations
 
 import base64
-import html
+import itertools
 import json
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from sysid.report.html import Html, filled, joined, legend
-from sysid.types import FloatArray, IntArray
+from sysid.report.drawing import (
+    BEST,
+    LOOKS,
+    MASKED,
+    MEASURED,
+    OTHERS,
+    RUNS,
+    as_math,
+    axis_label,
+    draw_legend,
+    peaks,
+    thinned,
+    tidy,
+)
+from sysid.report.html import Html, filled, joined, legend, picture
+from sysid.types import FloatArray
 
 # Colours by name; page.css gives each one a value on light and on dark paper.
 Colour = Literal["ink", "best", "others", "band", "blue", "green", "pink", "amber", "faint"]
 Look = Literal["line", "thin", "dashed", "dots", "steps"]
-# The colours of fits and groups that are drawn over each other.
+# Colours of the fits and groups that are drawn over each other.
 SERIES: tuple[Colour, ...] = ("best", "blue", "green", "pink", "amber", "others")
-# Samples of a view beyond which only the least and largest of every stretch are drawn, and on paper.
-_MOST, _MOST_PRINTED = 3000, 240
 # Colours of the rows of bars.
 BARS: tuple[Colour, ...] = ("green", "pink", "amber")
+# Colours in figures of matplotlib.
+_INKS: dict[str, str] = {
+    "ink": MEASURED, "best": BEST, "others": OTHERS, "band": BEST, "blue": RUNS[0], "green": "#009E73",
+    "pink": "#CC79A7", "amber": "#E69F00", "faint": "#8A8D95",
+}  # fmt: skip
+# Number of samples of a view beyond which a page gets only the least and largest of every stretch.
+_MOST = 3000
+# Share of a panel's range that a curve may leave it by.
+_MARGIN = 0.25
+# Shorter bars are widened to this share of the time, to be seen.
+_SHORTEST_BAR = 3e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,21 +80,25 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One pair of axes; `shade` are two values between which the ground is grey, a `low` one is a strip."""
+    """One pair of axes; `shade` are two values between which the ground is grey, a `low` one is a strip.
+
+    A figure in a file writes the `note` beside the label.
+    """
 
     label: str
     unit: str
     curves: Sequence[Curve]
     low: bool = False
     shade: tuple[float, float] | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What is seen at a time: panels above each other over `x` (n,).
+    """Panels that are seen together, above each other over `x` (n,), whose label and unit are the `axis`.
 
     `key` ties it to an animation, `title` is what a reader chooses. `bars` are intervals (start, end) to mark
-    at the bottom of each panel, by what happens in them.
+    at the bottom of each panel, by what happens in them. A figure is grey in the intervals that are `lost`.
     """
 
     key: str
@@ -76,29 +106,28 @@ class View:
     x: FloatArray
     panels: Sequence[Panel]
     bars: Mapping[str, Sequence[tuple[float, float]]] = field(default_factory=dict)
+    lost: Sequence[tuple[float, float]] = ()
+    axis: tuple[str, str] = ("time", "s")
 
 
 def interactive(
-    views: Sequence[View], title: str, static: Html | None = None, *, x: tuple[str, str] = ("time", "s"),
-    chosen: int = 0, noun: str = "plot",
-) -> Html:  # fmt: skip
-    """Return a plot of views with the same axis `x` (label, unit).
+    views: Sequence[View], title: str, static: Html | None = None, *, chosen: int = 0, noun: str = "plot"
+) -> Html:
+    """Return a plot of views with the same axis.
 
     `chosen` is the view that is shown first, `noun` what a view is called ("drop"). Without scripts and on
-    paper `static` is shown, or all views with a legend. Raises a ValueError without views.
+    paper `static` is shown, by default all views as they are `printed`. Raises a ValueError without views.
     """
     if not views:
         raise ValueError("a plot needs at least one view")
-    if static is None:
-        static = _legend(views) + joined([_drawn(view, x) for view in views])
-    document = {"x": list(x), "chosen": chosen, "views": [_view(view) for view in views]}
+    document = {"x": list(views[0].axis), "chosen": chosen, "views": [_document(view) for view in views]}
     return filled(
         "plot.html.j2", title=title, titles=[view.title for view in views], chosen=chosen,
-        data=embedded(document), noun=noun, static=static,
+        data=embedded(document), noun=noun, static=printed(views) if static is None else static,
     )  # fmt: skip
 
 
-def embedded(document: Any) -> Html:
+def embedded(document: object) -> Html:
     """Return JSON for a script of a page, which ends at the first ``</script``: ``<`` is escaped."""
     text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Html(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
@@ -109,16 +138,27 @@ def packed(values: FloatArray) -> str:
     return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
-def _view(view: View) -> dict[str, Any]:
-    x, kept = _places(view)
+def _document(view: View) -> dict[str, object]:
+    """Return what the page's script reads of a view: all curves over the places of all of them, with NaN."""
+    every = [curve for panel in view.panels for curve in panel.curves]
+    shared = [curve.values for curve in every if curve.x is None and curve.scaled]
+    kept = peaks(shared, _MOST) if shared else np.arange(len(view.x))
+    x = np.unique(np.concatenate([view.x[kept], *(curve.x for curve in every if curve.x is not None)]))
+
+    def spread(curve: Curve, values: FloatArray) -> str:
+        places, values = (view.x[kept], values[kept]) if curve.x is None else (curve.x, values)
+        out = np.full(len(x), np.nan)
+        out[np.searchsorted(x, places)] = values
+        return packed(out)
+
     panels = []
     for panel in view.panels:
         curves = []
         for curve in panel.curves:
-            row: dict[str, Any] = {"label": curve.label, "colour": curve.colour, "look": curve.look}
-            row["y"] = packed(_at(x, curve, view.x, kept, curve.values))
+            row: dict[str, object] = {"label": curve.label, "colour": curve.colour, "look": curve.look}
+            row["y"] = spread(curve, curve.values)
             if curve.upto is not None:
-                row["upto"] = packed(_at(x, curve, view.x, kept, curve.upto))
+                row["upto"] = spread(curve, curve.upto)
             if curve.x is not None:
                 row["spans"] = True
             if not curve.scaled:
@@ -135,128 +175,124 @@ def _view(view: View) -> dict[str, Any]:
     return {"key": view.key, "title": view.title, "x": packed(x), "panels": panels, "bars": bars}
 
 
-def _places(view: View) -> tuple[FloatArray, IntArray]:
-    """Return the places of all curves in order, and which of the view's samples are among them."""
-    shared = [c.values for panel in view.panels for c in panel.curves if c.x is None and c.scaled]
-    kept = np.arange(len(view.x))
-    if len(view.x) > _MOST and shared:
-        # Peaks survive: the least and the largest value of every curve in every stretch.
-        edges = np.linspace(0, len(view.x), max(2, _MOST // (2 * len(shared))) + 1).astype(int)[:-1]
-        picks: list[Any] = [edges, [len(view.x) - 1]]
-        for values in shared:
-            for worst, extreme in ((np.inf, np.argmin), (-np.inf, np.argmax)):
-                finite = np.where(np.isfinite(values), values, worst)
-                parts = np.split(finite, edges[1:])
-                picks.append([int(e + extreme(p)) for e, p in zip(edges, parts, strict=True) if len(p)])
-        kept = np.unique(np.concatenate(picks))
-    own = [np.asarray(c.x, dtype=float) for panel in view.panels for c in panel.curves if c.x is not None]
-    return np.unique(np.concatenate([np.asarray(view.x, dtype=float)[kept], *own])), kept
+def printed(views: Sequence[View]) -> Html:
+    """Return views as pictures under one legend."""
+    entries = [(f"var(--c-{colour})", look, words) for colour, look, words in _meanings(views)]
+    pieces = []
+    for view in views:
+        words = f"{view.title}: {', '.join(panel.label for panel in view.panels)}"
+        pieces.append(picture(figure_of([view], across=True), words, view.title))
+    return legend(entries) + Html(f'<div class="printed">{joined(pieces).text}</div>')
 
 
-def _at(x: FloatArray, curve: Curve, shared: FloatArray, kept: IntArray, values: FloatArray) -> FloatArray:
-    """Return a curve's values at the places of the view; NaN where it has none."""
-    places, values = (shared[kept], values[kept]) if curve.x is None else (curve.x, values)
-    out = np.full(len(x), np.nan)
-    out[np.searchsorted(x, places)] = values
-    return out
+def figure_of(views: Sequence[View], title: str = "", *, across: bool = False) -> Figure:
+    """Draw views for paper, a file or a notebook: a column per view, under a legend.
+
+    With `across`, for a page that has one legend for many figures, the panels of the only view stand beside
+    each other, each above its low ones.
+    """
+    groups: list[list[list[Panel]]] = []
+    for view in views:
+        groups.append([])
+        for panel in view.panels:
+            if panel.low and groups[-1]:
+                groups[-1][-1].append(panel)
+            else:
+                groups[-1].append([panel])
+    most = max(1, *map(len, groups))
+    rows, columns = (1, most) if across else (most, len(views))
+    wide, high = (min(3.4, 10.2 / most), 1.7) if across else (6.6 if columns == 1 else 3.2, 2.4)
+    entries = [] if across else [(_INKS[colour], look, words) for colour, look, words in _meanings(views)]
+    if any(view.lost for view in views) and not across:
+        entries.append((MASKED, "area", "no sample counts"))
+    width = wide * columns + 0.2
+    beside = max(1, int(width / 1.7))
+    below = 0.5 + 0.22 * -(-len(entries) // beside)
+    above = 0.3 if across else 0.65 + (0.3 if len(views) > 1 else 0.0)
+    height = high * rows + below + above - 0.4
+    figure = Figure(figsize=(width, height))
+    # Fixed margins: laying out eighty axes automatically takes longer than drawing them.
+    grid = figure.add_gridspec(
+        rows, columns, left=0.55 / width, right=1 - 0.1 / width, bottom=below / height,
+        top=1 - above / height, hspace=0.28, wspace=0.34 if across else 0.24,
+    )  # fmt: skip
+    for v, view in enumerate(views):
+        shared: Axes | None = None
+        for g, group in enumerate(groups[v]):
+            ratios = [1.0 if panel.low else 2.2 for panel in group]
+            cell = grid[(0, g) if across else (g, v)].subgridspec(
+                len(group), 1, height_ratios=ratios, hspace=0.55
+            )
+            for k, panel in enumerate(group):
+                axes = shared = figure.add_subplot(cell[k], sharex=shared)
+                _draw(axes, view, panel)
+                last = panel is group[-1] and (across or g == len(groups[v]) - 1)
+                axes.tick_params(labelbottom=last)
+                if not across:
+                    axes.set_title(panel.note, fontsize=8, loc="right", pad=3)
+                if last:
+                    axes.set_xlabel(axis_label(*view.axis), fontsize=8)
+        if len(views) > 1 and view.panels:
+            top = figure.axes[-len(view.panels)]
+            top.annotate(
+                textwrap.fill(view.title, 45), (0.5, 1), (0, 16), xycoords="axes fraction", ha="center",
+                textcoords="offset points", fontsize=9,
+            )  # fmt: skip
+    if not across:
+        figure.suptitle(title or views[0].title, y=1 - 0.12 / height, va="top", fontsize=11)
+        draw_legend(figure, entries, "lower center", beside, fontsize=8)
+    return figure
 
 
-def _legend(views: Sequence[View]) -> Html:
-    every = (curve for view in views for panel in view.panels for curve in panel.curves)
+def _draw(axes: Axes, view: View, panel: Panel) -> None:
+    """Draw a panel with its label as its title."""
+    for curve in panel.curves:
+        x = view.x if curve.x is None else curve.x
+        look = {"color": _INKS[curve.colour], **LOOKS[curve.look]}
+        if curve.upto is not None:
+            axes.fill_between(x, curve.values, curve.upto, color=_INKS[curve.colour], alpha=0.22, linewidth=0)
+        elif curve.look == "dots":
+            axes.plot(x, curve.values, **look)
+        else:
+            axes.plot(*thinned(x, curve.values), **look)
+    # A set that went astray must not flatten the measurement it is compared with.
+    scaled = np.concatenate([panel.shade or (), *(c.values for c in panel.curves if c.scaled)])
+    if np.isfinite(scaled).any():
+        low, high = float(np.nanmin(scaled)), float(np.nanmax(scaled))
+        margin = _MARGIN * (high - low) or 1.0
+        bottom, top = axes.get_ylim()
+        axes.set_ylim(max(bottom, low - margin), min(top, high + margin))
+    if len(view.x):
+        axes.set_xlim(view.x[0], view.x[-1])
+    if panel.shade:
+        axes.axhspan(*panel.shade, color="0.9", linewidth=0, zorder=0)
+    elif panel.low:
+        axes.axhline(0.0, color="0.6", linewidth=0.8)
+    elif any(view.bars.values()):
+        low, high = axes.get_ylim()
+        row = 0.05 * (high - low)
+        axes.set_ylim(low - row * (len(view.bars) + 0.5), high)
+        for k, (spans, colour) in enumerate(zip(view.bars.values(), itertools.cycle(BARS), strict=False)):
+            y, shortest = low - row * (len(view.bars) - k - 0.3), _SHORTEST_BAR * (view.x[-1] - view.x[0])
+            ends = [max(end, start + shortest) for start, end in spans]
+            axes.hlines(
+                [y] * len(ends), [a for a, _ in spans], ends, color=_INKS[colour], linewidth=2.5, zorder=5
+            )
+    for start, end in view.lost:
+        axes.axvspan(start, end, color=MASKED, linewidth=0, zorder=0)
+    if axes.get_xlim()[0] < 0:
+        axes.axvline(0.0, color="0.6", linewidth=0.8, linestyle=":")
+    size = 7 if panel.low else 8
+    axes.set_title(as_math(axis_label(panel.label, panel.unit)), fontsize=size, loc="left", pad=3)
+    axes.tick_params(labelsize=7)
+    tidy(axes)
+    axes.yaxis.set_major_locator(MaxNLocator(2 if panel.low else 4))
+
+
+def _meanings(views: Sequence[View]) -> list[tuple[Colour, str, str]]:
+    """Return (colour, look, words) of all curves and bars."""
+    every = [curve for view in views for panel in view.panels for curve in panel.curves]
     looks = {c.label: (c.colour, "area" if c.upto is not None else str(c.look)) for c in every}
     names = dict.fromkeys(name for view in views for name in view.bars)
     looks |= {name: (BARS[k % len(BARS)], "bar") for k, name in enumerate(names)}
-    return legend([(f"var(--c-{colour})", look, label) for label, (colour, look) in looks.items()])
-
-
-def _drawn(view: View, x: tuple[str, str]) -> Html:
-    """Return a view as a figure for paper: a column per panel, with the low panels that follow it below."""
-    groups: list[list[Panel]] = []
-    for panel in view.panels:
-        if panel.low and groups:
-            groups[-1].append(panel)
-        else:
-            groups.append([panel])
-    wide, out, deep = 204.0, [], 0.0
-    for k, group in enumerate(groups):
-        left, top = 36.0 + (wide + 42.0) * k, 16.0
-        for panel in group:
-            high = 38.0 if panel.low else 112.0
-            out.append(_axes(view, panel, (left, top, wide, high)))
-            top += high + 16.0
-        deep = max(deep, top)
-    width, words = (
-        36.0 + (wide + 42.0) * len(groups) - 36.0,
-        f"{view.title}: {', '.join(p.label for p in view.panels)}",
-    )
-    out.append(f'<text x="{width / 2:.0f}" y="{deep + 10:.0f}" text-anchor="middle">{html.escape(x[0])} '
-               f"[{html.escape(x[1])}]</text>")  # fmt: skip
-    return Html(
-        f'<figure class="printed"><svg role="img" aria-label="{html.escape(words)}" '
-        f'viewBox="0 0 {width:.0f} {deep + 14:.0f}" style="max-width: {width:.0f}px">{"".join(out)}</svg>'
-        f"<figcaption>{html.escape(view.title)}</figcaption></figure>"
-    )
-
-
-def _axes(view: View, panel: Panel, box: tuple[float, float, float, float]) -> str:
-    """Return the marks of a panel inside a box: left, top, width, height [px]."""
-    left, top, wide, high = box
-    start, end = float(view.x[0]), float(view.x[-1])
-    scaled = [v[np.isfinite(v)] for c in panel.curves if c.scaled for v in (c.values,)]
-    shown = np.concatenate([*scaled, panel.shade or ()]) if scaled or panel.shade else np.array([0.0, 1.0])
-    low, high_end = (float(shown.min()), float(shown.max())) if len(shown) else (0.0, 1.0)
-    margin = 0.06 * (high_end - low) or 1.0
-    low, high_end = low - margin, high_end + margin
-
-    def across(value: FloatArray | float) -> Any:
-        return left + wide * (np.asarray(value) - start) / ((end - start) or 1.0)
-
-    def up(value: FloatArray | float) -> Any:
-        return top + high * (1 - (np.clip(value, low, high_end) - low) / (high_end - low))
-
-    out = []
-    if panel.shade:
-        y, bottom = up(panel.shade[1]), up(panel.shade[0])
-        out.append(f'<path class="shade" d="M{left} {y:.1f}h{wide}V{bottom:.1f}h{-wide}Z"/>')
-    for curve in panel.curves:
-        places = view.x if curve.x is None else curve.x
-        every = max(1, -(-len(places) // _MOST_PRINTED))
-        x = across(np.asarray(places)[::every])
-        points = [
-            f"{a:.1f} {b:.1f}" if np.isfinite(b) else ""
-            for a, b in zip(x, up(curve.values[::every]), strict=True)
-        ]
-        if curve.upto is not None:
-            back = [
-                f"{a:.1f} {b:.1f}" for a, b in zip(x, up(curve.upto[::every]), strict=True) if np.isfinite(b)
-            ]
-            outline = "L".join([*filter(None, points), *reversed(back)])
-            out.append(f'<path class="area" style="color: var(--c-{curve.colour})" d="M{outline}Z"/>')
-            continue
-        path, joint = "", "M"
-        for point in points:
-            path += f"{joint}{point}" if point else ""
-            path += "h0" if point and curve.look == "dots" else ""
-            joint = "L" if point and curve.look != "dots" else "M"
-        out.append(
-            f'<path class="{curve.look}" style="color: var(--c-{curve.colour})" d="{path}"/>' if path else ""
-        )
-    for k, spans in enumerate(view.bars.values() if not panel.low else ()):
-        y = top + high - 3 - 4 * k
-        marks = "".join(f"M{across(a):.1f} {y}H{max(across(b), across(a) + 1):.1f}" for a, b in spans)
-        out.append(
-            f'<path class="bar" style="color: var(--c-{BARS[k % len(BARS)]})" d="{marks}"/>' if marks else ""
-        )
-    out.append(f'<path class="frame" d="M{left} {top}h{wide}v{high}h{-wide}Z"/>')
-    name = panel.label + (f" [{panel.unit}]" if panel.unit not in ("", "1") else "")
-    out.append(f'<text x="{left}" y="{top - 4}" class="name">{html.escape(name)}</text>')
-    for value in panel.shade or MaxNLocator(3).tick_values(low, high_end):
-        if low <= value <= high_end:
-            words = f"{value:.4g}".replace("-", "−")
-            out.append(f'<text x="{left - 4}" y="{up(value) + 3:.1f}" text-anchor="end">{words}</text>')
-    for value in MaxNLocator(4).tick_values(start, end) if panel is view.panels[-1] or panel.low else ():
-        if start <= value <= end:
-            out.append(
-                f'<text x="{across(value):.1f}" y="{top + high + 10}" text-anchor="middle">{value:.4g}</text>'
-            )
-    return "".join(out)
+    return [(colour, look, words) for words, (colour, look) in looks.items()]

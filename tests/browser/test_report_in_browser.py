@@ -447,7 +447,7 @@ def test_paper_takes_few_pages(start, pages):
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
         shown = "return [...document.querySelectorAll(arguments[0])].filter(e => e.checkVisibility()).length"
         assert driver.execute_script(shown, "[data-plot], [data-animation], .unprinted") == 0
-        assert driver.execute_script(shown, "figure.printed") >= 5
+        assert driver.execute_script(shown, ".printed figure") >= 5
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
 
 

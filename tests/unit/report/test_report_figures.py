@@ -11,7 +11,9 @@ from matplotlib.figure import Figure
 from fakes.fits import GEAR, MOTOR, made_fit
 from sysid.errors import ExportError
 from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, save_figure
-from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated
+from sysid.report.fit_figures import figure_convergence
+from sysid.report.plots import figure_of
+from sysid.report.traces import figure_measured_against_simulated, trial_view
 
 
 def lines_in(axes, colour):
@@ -43,11 +45,11 @@ def overlapping_texts(figure):
     return overlapping
 
 
-def test_report_figure_draws_the_valid_samples_and_every_set():
+def test_a_figure_draws_the_valid_samples_and_every_set():
     fit = made_fit()
-    figure = figure_measured_against_simulated(fit, "drop-2")
-    assert len(figure.axes) == 10
     trial = fit.trials[1]
+    figure = figure_of([trial_view(fit, trial, ("drop-2", "drop-2"))])
+    assert len(figure.axes) == 10
     for c in range(5):
         signal, residual = figure.axes[2 * c], figure.axes[2 * c + 1]
         (dots,) = lines_in(signal, MEASURED)
@@ -70,62 +72,55 @@ def test_report_figure_draws_the_valid_samples_and_every_set():
         assert len(signal.patches) == 1
 
 
-def test_report_figure_names_units_trial_and_nrmse():
-    fit = made_fit()
-    figure = figure_measured_against_simulated(fit, "drop-3")
-    labels = [axes.get_ylabel() for axes in figure.axes[::2]]
-    assert labels == ["$x_B$ [m]", "$z_B$ [m]", r"$\dot{x}_B$ [m/s]", r"$\dot{z}_B$ [m/s]", "$q_B$ [deg]"]
-    assert figure.axes[1].get_ylabel() == "residual\n[mm]"
-    mean = 100 * fit.trials[2].nrmse[0].mean()
-    assert "drop-3 (not fitted)" in figure.get_suptitle()
-    assert f"NRMSE {mean:.1f} %" in figure.get_suptitle()
-    assert figure.axes[0].get_title(loc="right") == f"NRMSE {100 * fit.trials[2].nrmse[0, 0]:.1f} %"
-    assert figure.axes[-1].get_xlabel().endswith("[s]")
-
-
-@pytest.mark.parametrize("channels", [GEAR, MOTOR], ids=["gear", "motor"])
-@pytest.mark.parametrize("trial", [None, "drop-1"])
-def test_report_figure_labels_do_not_overlap(channels, trial):
-    fit = made_fit(channels, uses=("fit", "fit", "validate") if trial is None else ("fit",))
-    assert overlapping_texts(figure_measured_against_simulated(fit, trial)) == []
-    assert overlapping_texts(figure_convergence(fit, wide=True)) == []
-
-
-def test_report_figure_of_all_trials_has_a_pair_of_axes_per_channel_and_trial():
+def test_a_figure_names_units_trials_and_nrmse():
     fit = made_fit()
     figure = figure_measured_against_simulated(fit)
     assert len(figure.axes) == 2 * 5 * 3
-    titles = [axes.get_title(loc="left") for axes in figure.axes if axes.get_title(loc="left")]
-    assert titles == ["drop-1\nfitted", "drop-2\nfitted", "drop-3\nnot fitted"]
+    column = figure.axes[-10:]
+    labels = [axes.get_title(loc="left").replace("{", "").replace("}", "") for axes in column]
+    signals = ["$x_B$ [m]", "$z_B$ [m]", "$ẋ_B$ [m/s]", "$ż_B$ [m/s]", "$q_B$ [deg]"]
+    assert labels[::2] == signals
+    assert labels[1] == "residual of $x_B$ [mm]"
+    mean = 100 * fit.trials[2].nrmse[0].mean()
+    assert column[0].texts[0].get_text() == f"drop-3 (not fitted): NRMSE {mean:.1f} %"
+    assert column[0].get_title(loc="right") == f"NRMSE {100 * fit.trials[2].nrmse[0, 0]:.1f} %"
+    assert column[-1].get_xlabel() == "time [s]"
+    assert fit.name in figure.get_suptitle()
 
 
-def test_report_figure_keeps_to_the_measurement_when_a_set_goes_astray():
+@pytest.mark.parametrize("channels", [GEAR, MOTOR], ids=["gear", "motor"])
+def test_labels_of_figures_do_not_overlap(channels):
+    fit = made_fit(channels)
+    assert overlapping_texts(figure_measured_against_simulated(fit)) == []
+    view = trial_view(fit, fit.trials[0], ("a", "drop-1 (fitted)"), {"foot down": [(0.2, 0.21)]})
+    for across in (False, True):
+        assert overlapping_texts(figure_of([view], across=across)) == []
+    assert overlapping_texts(figure_convergence(fit, wide=True)) == []
+
+
+def test_a_figure_keeps_to_the_measurement_when_a_set_goes_astray():
     fit = made_fit()
     fit.trials[0].simulated[3] *= 1e4
-    signal = figure_measured_against_simulated(fit, "drop-1").axes[0]
+    signal = figure_measured_against_simulated(fit).axes[0]
     measured = fit.trials[0].measured[fit.trials[0].valid[:, 0], 0]
     low, high = signal.get_ylim()
     assert high - low < 2 * np.ptp(measured)
 
 
-def test_report_figure_of_a_dense_motor_log_marks_contacts_and_one_set():
+def test_a_figure_of_a_dense_motor_log_marks_contacts_and_one_set():
     fit = made_fit(MOTOR, samples=3000, runs=1, uses=("fit",), lost=slice(0, 0))
-    figure = figure_measured_against_simulated(fit, "drop-1", bars={"foot down": [(2.0, 2.01)]})
+    view = trial_view(fit, fit.trials[0], ("a", "b"), {"foot down": [(2.0, 2.01)]})
+    figure = figure_of([view])
     (line,) = lines_in(figure.axes[0], MEASURED)
     assert line.get_marker() == "None"
     assert not figure.axes[0].patches
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert texts == ["measured", "best set, residual", "foot down"]
+    assert texts == ["measured", "best set", "residual", "foot down"]
 
 
-def test_report_figure_of_a_channel_without_samples_is_drawn():
+def test_trials_without_samples_are_drawn():
     fit = made_fit(lost=slice(0, 150))
-    assert isinstance(figure_measured_against_simulated(fit, "drop-1"), Figure)
-
-
-def test_report_figure_refuses_an_unknown_trial():
-    with pytest.raises(ExportError, match="no trial 'drop-9' to draw; found drop-1"):
-        figure_measured_against_simulated(made_fit(), "drop-9")
+    assert figure_measured_against_simulated(fit).axes == []
 
 
 def test_report_convergence_draws_the_best_of_every_generation():

@@ -64,7 +64,7 @@ def test_the_report_of_a_fit(fits, name, pictures):
     if name != "motor":
         assert text.count("<canvas") == 1
         # Eight drops of five channels, each with its contacts.
-        channels = re.findall(r'aria-label="drop-\d [^"]*: x_B, [^"]*z_B, [^"]*ẋ_B, [^"]*ż_B, [^"]*q_B', text)
+        channels = re.findall(r'alt="drop-\d [^"]*: x_B, [^"]*z_B, [^"]*ẋ_B, [^"]*ż_B, [^"]*q_B', text)
         assert len(channels) == 8
         assert len(re.findall(r'"label":"rear foot down","spans":\[\[\d', text)) == 8
     if name == "gear-hf":
@@ -101,6 +101,6 @@ def test_the_motor_s_report_against_another_campaign(fits, tmp_path):
     options = ReportOptions(against=tmp_path / "motor" / "campaign.toml", out=tmp_path / "against.html")
     text = checked(write_report(fits["motor"], options)["report"].read_text(encoding="utf-8"), 15)
     # The same trials with the same sets: the same errors as in the fit itself.
-    shares = re.findall(r'aria-label="(?:synthetic-motor, )?forward-2 \(not fitted\): NRMSE ([\d.]+) %', text)
+    shares = re.findall(r'alt="(?:synthetic-motor, )?forward-2 \(not fitted\): NRMSE ([\d.]+) %', text)
     assert len(shares) == 2
     assert float(shares[0]) == pytest.approx(float(shares[1]), rel=0.02)
