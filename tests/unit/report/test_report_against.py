@@ -36,7 +36,9 @@ def _predicted(monkeypatch, logs):
             return tuple(replace(template, name=trial.name) for trial in self.trials)
 
     monkeypatch.setattr(predict, "open_under", lambda *arguments: (None, Fake(list(logs))))
-    monkeypatch.setattr(predict, "predict", lambda fit, problem: SimpleNamespace(problem=problem, rows=None))
+    monkeypatch.setattr(
+        predict, "predict", lambda fit, kind, problem: SimpleNamespace(problem=problem, rows=None)
+    )
     return predict.predicted_fit(fit, "other.toml")
 
 
