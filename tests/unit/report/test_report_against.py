@@ -27,7 +27,7 @@ def _predicted(monkeypatch, logs):
     class Fake:
         def __init__(self, names):
             self.trials = [SimpleNamespace(name=name, digest=logs[name]) for name in names]
-            self.logs, self.campaign = logs, SimpleNamespace(name="other")
+            self.campaign = SimpleNamespace(name="other")
 
         def only(self, names):
             return Fake(names)
@@ -36,9 +36,11 @@ def _predicted(monkeypatch, logs):
             return tuple(replace(template, name=trial.name) for trial in self.trials)
 
     monkeypatch.setattr(predict, "open_under", lambda *arguments: (None, Fake(list(logs))))
-    monkeypatch.setattr(
-        predict, "predict", lambda fit, kind, problem: SimpleNamespace(problem=problem, rows=None)
-    )
+
+    def predicted(fit, kind, problem):
+        return SimpleNamespace(problem=problem, rows=None, story=SimpleNamespace(logs=logs))
+
+    monkeypatch.setattr(predict, "predict", predicted)
     return predict.predicted_fit(fit, "other.toml")
 
 
