@@ -218,6 +218,9 @@ class TrustPart(Document):
         except OSError as error:
             raise FitError(f"{path}: cannot be read ({error}); run it again") from error
         document = cls.parse(text, path, FitError)
+        for name in ("part", "fit_sha256", "written"):
+            if name not in document.model_fields_set:
+                raise FitError(f"{path}: damaged or cut off ({name}: it is missing); {cls.REMEDY}")
         return document if document.fit_sha256 == file_sha256(folder / "fit.h5") else None
 
     def printed(self) -> dict[str, Any]:

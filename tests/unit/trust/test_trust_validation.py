@@ -243,6 +243,11 @@ def test_damaged_parts_are_refused(folder):
     path.write_text(exact_json.dumps({**exact_json.loads(whole), "version": 99}), encoding="utf-8")
     with pytest.raises(FitError, match="of version 99, expected 1"):
         TrustDocument.read(folder)
+    for key in ("part", "fit_sha256", "written"):
+        kept = {name: value for name, value in exact_json.loads(whole).items() if name != key}
+        path.write_text(exact_json.dumps(kept), encoding="utf-8")
+        with pytest.raises(FitError, match=f"damaged or cut off .{key}: it is missing"):
+            TrustDocument.read(folder)
     (folder / "trust.h5").write_bytes(b"no HDF5")
     with pytest.raises(FitError, match="damaged or cut off"):
         read_arrays(folder, "trust")
