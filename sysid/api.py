@@ -5,15 +5,21 @@ Nothing here prints. An input that cannot be used is a `sysid.SysidError` of one
 
 from __future__ import annotations
 
+import difflib
+import math
 from collections import Counter
 from collections.abc import Mapping
-from math import nan
+from dataclasses import is_dataclass
+from numbers import Integral, Real
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar, get_args
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from sysid.campaign import read_campaign
-from sysid.errors import ExportError, FitError
+from sysid.documents import mistake
+from sysid.errors import CampaignError, ExportError, FitError
 from sysid.export import load_parameter_sets as load_parameter_sets
 from sysid.fit.kind import Kind as Kind
 from sysid.fit.result import FitResult, TrialResult
@@ -21,6 +27,7 @@ from sysid.fit.store import fit_folder, read_fit
 from sysid.landing.drone import drone
 from sysid.landing.simulate import Landing
 from sysid.loaders import load
+from sysid.marks import Flag, field_hints, field_values, mark_of
 from sysid.parameter_sets import (
     ParameterSets,
     RankedSet,
@@ -42,7 +49,6 @@ from sysid.workflows.options import (
     TouchdownOptions,
     TrustOptions,
     campaign_file,
-    python_options,
 )
 from sysid.workflows.report import write_report
 from sysid.workflows.show import verdict_on
@@ -51,6 +57,8 @@ from sysid.workflows.trust import assess_fit
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+Options = TypeVar("Options")
 
 
 class Log(Recording):
@@ -304,7 +312,7 @@ class Fit(Shown):
         best, judged = self.sets.best, self.result.judged
         free = [record for record in self.result.parameters if record.status == "free"]
         lost = [in_place_of_digits(self.result.settings, record.name) is not None for record in free]
-        values = [nan if gone else best[record.name] for gone, record in zip(lost, free, strict=True)]
+        values = [math.nan if gone else best[record.name] for gone, record in zip(lost, free, strict=True)]
         rows = [
             {"symbol": record.symbol, "value": value, "unit": record.unit}
             | interval_columns(judged.get(record.name))
@@ -467,3 +475,49 @@ def _set(given: Any) -> RankedSet:
     if isinstance(given, RankedSet):
         return given
     raise ExportError(f"expected one set of a fit, such as sets.best, found a {type(given).__name__}")
+
+
+def python_options(cls: type[Options], given: Mapping[str, Any], **fixed: Any) -> Options:
+    """Return the options `cls` of a call from Python: names are checked and texts read as on a command line.
+
+    Fields that are dataclasses themselves take theirs by the same names. `fixed` are fields that the caller
+    may not state. Raises `CampaignError` for an unknown name or a value of another kind.
+    """
+    hints = {name: hint for name, hint in field_hints(cls).items() if name not in fixed}
+    known = sorted(_names(hints))
+    for name in given:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+            raise CampaignError(f"no option {name!r}; {hint}")
+    return cls(**field_values(hints, given, _checked), **fixed)
+
+
+def _names(hints: Mapping[str, Any]) -> set[str]:
+    names: set[str] = set()
+    for name, hint in hints.items():
+        names |= _names(field_hints(hint)) if is_dataclass(hint) else {name}
+    return names
+
+
+def _checked(name: str, value: Any, hint: Any) -> Any:
+    """Return the value of an option as Python states it: a text where the command line takes one."""
+    mark, plain = mark_of(hint), get_args(hint)[0]
+    unit = mark.unit if isinstance(mark, Flag) else ""
+    if isinstance(value, str):
+        if isinstance(mark, Flag) and (mark.read or unit):
+            return mark.read(value, name) if mark.read else mark.quantity(value, name)
+        if Path in (plain, *get_args(plain)):
+            value = Path(value)
+    if isinstance(value, Real) and not isinstance(value, bool):
+        # numpy's numbers too
+        value = int(value) if isinstance(value, Integral) else float(value)
+        if unit == "deg" and abs(value) > math.tau:
+            raise CampaignError(
+                f"{name} = {value:g}: a bare number is in rad; write {name} = '{value:g} deg'"
+            )
+    try:
+        return TypeAdapter(hint, config=ConfigDict(strict=True, allow_inf_nan=False)).validate_python(value)
+    except ValidationError as error:
+        also = f"; a bare number is in SI, and a text such as '1 {unit}' has its unit" if unit else ""
+        raise CampaignError(f"{name} = {value!r}: {mistake(error.errors()[0])}{also}") from None

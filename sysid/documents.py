@@ -196,7 +196,7 @@ _MISTAKES = {
     "too_long": "expected at most {max_length} values", "too_short": "expected at least {min_length} values",
     "tuple_type": "expected a list", "list_type": "expected a list", "dict_type": "expected a table",
     "model_": "expected a table", "missing": "it is missing", "extra_forbidden": "it is unknown",
-    "unexpected_positional": "expected fewer values",
+    "unexpected_positional": "expected fewer values", "is_instance_of": "expected a {class}",
 }  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """Turns functions of annotated parameters and option dataclasses into commands of typer.
 
-`sysid.workflows.options` says once what a parameter is called, means and refuses; typer is known in
+`sysid.marks` says once what a parameter is called, means and refuses; typer is known in
 `sysid.cli` only.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum, StrEnum
 from pathlib import Path
@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperCommand
 
 from sysid.interrupt import heard_interrupts
-from sysid.workflows.options import Argument, Flag
+from sysid.marks import Argument, Flag, field_hints, field_values, mark_of
 
 Run = Callable[..., int | None]
 
@@ -72,12 +72,14 @@ def command(app: typer.Typer, name: str, example: str) -> Callable[[Run], Run]:
     def register(run: Run) -> Run:
         hints = get_type_hints(run, include_extras=True)
         defaults = {p.name: p.default for p in inspect.signature(run).parameters.values()}
-        parts = [(key, hints[key], defaults[key]) for key in defaults]
+        hints.pop("return")
 
         def call(**given: Any) -> None:
+            # What the user does not give keeps the default of the dataclass or function.
+            stated = {name: value for name, value in given.items() if value is not None}
             try:
                 with heard_interrupts():
-                    code = run(**_values(parts, given))
+                    code = run(**field_values(hints, stated, _value))
             except KeyboardInterrupt:
                 # typer would end without a word.
                 typer.echo("stopped by the user", err=True)
@@ -86,7 +88,7 @@ def command(app: typer.Typer, name: str, example: str) -> Callable[[Run], Run]:
                 raise typer.Exit(code)
 
         call.__doc__ = run.__doc__
-        parameters = list(_parameters(parts))
+        parameters = list(_parameters(hints, defaults))
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         call.__annotations__ = {p.name: p.annotation for p in parameters}
         app.command(name, cls=Command, epilog=f"\b\nExample:\n  {_folded(example)}")(call)
@@ -106,29 +108,25 @@ def _folded(example: str) -> str:
     return " \\\n  ".join(lines)
 
 
-def _parts(cls: type) -> list[tuple[str, Any, Any]]:
-    """Return name, annotation and default of every field of an options dataclass."""
-    hints, empty = get_type_hints(cls, include_extras=True), inspect.Parameter.empty
-    return [(f.name, hints[f.name], empty if f.default is MISSING else f.default) for f in fields(cls)]
-
-
-def _parameters(parts: list[tuple[str, Any, Any]], panel: str = "") -> Iterator[inspect.Parameter]:
+def _parameters(
+    hints: Mapping[str, Any], defaults: Mapping[str, Any], panel: str = ""
+) -> Iterator[inspect.Parameter]:
     """Yield typer's parameters; nested dataclasses contribute theirs in their place, under their heading."""
-    for name, hint, default in parts:
+    for name, hint in hints.items():
         if is_dataclass(hint):
-            assert isinstance(hint, type)
-            yield from _parameters(_parts(hint), getattr(hint, "panel", ""))
+            inner = {f.name: f.default for f in fields(hint) if f.default is not MISSING}
+            yield from _parameters(field_hints(hint), inner, getattr(hint, "panel", ""))
             continue
-        mark = _mark(hint)
-        if mark is None:
-            continue
-        kind, values = _kind(get_args(hint)[0])
+        mark = mark_of(hint)
+        default = defaults.get(name, inspect.Parameter.empty)
         required = default is inspect.Parameter.empty
+        kind, values = _kind(get_args(hint)[0])
         info: Any
         if isinstance(mark, Argument):
             metavar = name.upper() if kind in _VALUES else "|".join(word.value for word in kind)
             info = typer.Argument(help=mark.help, show_default=not required, metavar=metavar)
         else:
+            assert isinstance(mark, Flag)
             shown: bool | str = not required
             help = mark.help
             if mark.read is not None or mark.unit:
@@ -138,14 +136,13 @@ def _parameters(parts: list[tuple[str, Any, Any]], panel: str = "") -> Iterator[
                 # Behind the first sentence.
                 help = re.sub(r"\.(?= |$)", f" [{mark.unit}].", help, count=1)
             if mark.read or mark.unit or mark.default or values:
-                # What the user does not give keeps the default of the dataclass or function, see `_values`.
                 shown = mark.default or (
                     mark.shown(default) if mark.unit and not required and default is not None else False
                 )
                 default = default if required else None
             least = None if mark.unit else mark.least
             info = typer.Option(
-                *_names(name, mark), help=help, min=least, show_default=shown, metavar=shown_as,
+                *mark.spelled(name), help=help, min=least, show_default=shown, metavar=shown_as,
                 rich_help_panel=mark.panel or panel or None,
             )  # fmt: skip
         kind = list[kind] if values else kind  # type: ignore[valid-type]
@@ -153,42 +150,23 @@ def _parameters(parts: list[tuple[str, Any, Any]], panel: str = "") -> Iterator[
         yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def _names(name: str, mark: Flag) -> tuple[str, ...]:
-    """Return how the command line spells an option."""
-    return mark.names or (f"--{name.replace('_', '-')}",)
-
-
-def _values(parts: list[tuple[str, Any, Any]], given: dict[str, Any]) -> dict[str, Any]:
-    """Return the values of a function or dataclass from what typer parsed."""
-    out = {}
-    for name, hint, _ in parts:
-        if is_dataclass(hint):
-            assert isinstance(hint, type)
-            out[name] = hint(**_values(_parts(hint), given))
-        elif given.get(name) is not None:
-            value, mark = given[name], _mark(hint)
-            several = isinstance(value, list)
-            if isinstance(value, Enum):
-                value = value.value
-            elif several:
-                value = tuple(value)
-            if isinstance(mark, Argument) and mark.read is not None:
-                value = mark.read(value)
-            elif isinstance(mark, Flag):
-                option = _names(name, mark)[0]
-                if mark.read is not None:
-                    value = mark.read(value, option)
-                elif mark.unit:
-                    read = [mark.quantity(one, option) for one in (value if several else (value,))]
-                    value = tuple(read) if several else read[0]
-            out[name] = value
-    return out
-
-
-def _mark(hint: Any) -> Argument | Flag | None:
-    """Return the place on the command line that an annotation states."""
-    marks = (mark for mark in get_args(hint)[1:] if isinstance(mark, (Argument, Flag)))
-    return next(marks, None) if get_origin(hint) is Annotated else None
+def _value(name: str, value: Any, hint: Any) -> Any:
+    """Return the value of a field from what typer parsed."""
+    mark = mark_of(hint)
+    if isinstance(value, Enum):
+        value = value.value
+    elif isinstance(value, list):
+        value = tuple(value)
+    if isinstance(mark, Argument):
+        return value if mark.read is None else mark.read(value)
+    if mark is None or not (mark.read or mark.unit):
+        return value
+    option = mark.spelled(name)[0]
+    if mark.read is not None:
+        return mark.read(value, option)
+    if isinstance(value, tuple):
+        return tuple(mark.quantity(one, option) for one in value)
+    return mark.quantity(value, option)
 
 
 def _kind(hint: Any) -> tuple[Any, bool]:

@@ -10,15 +10,14 @@ import typer
 
 from sysid.cli.adapter import command
 from sysid.cli.root import FLAGGED, app, print_json, unless
+from sysid.marks import Argument, Flag
 from sysid.workflows.options import (
-    Argument,
     CampaignPath,
     Dask,
     Figure,
     FitCampaign,
     FitFolder,
     FitOptions,
-    Flag,
     Force,
     Json,
     Quiet,

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 from sysid.cli.adapter import command
 from sysid.cli.root import app, unless
 from sysid.journal import Journal
+from sysid.marks import Flag
 from sysid.workflows.options import (
     DesignStudyOptions,
-    Flag,
     GearSets,
     ImpulseMapOptions,
     Json,

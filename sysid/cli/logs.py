@@ -10,10 +10,9 @@ import typer
 
 from sysid.cli.adapter import command
 from sysid.cli.root import app, print_json, print_next, synthesize
+from sysid.marks import Argument, Flag
 from sysid.workflows.options import (
-    Argument,
     Figure,
-    Flag,
     Force,
     Json,
     LoaderOption,

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import CampaignError
-from sysid.landing.drone import MOTORS_PER_PAIR, Drone
-from sysid.landing.scenario import Scenario
-from sysid.landing.thrust import MotorState
+from sysid.landing.drone import MOTORS_PER_PAIR, Drone, MotorState
+from sysid.landing.settings import Scenario
 from sysid.motor import model as motor_model
 from sysid.types import FloatArray
 
@@ -95,7 +94,7 @@ def fly_down(drone: Drone, begin: Scenario, height: float) -> Descent:
     over: Any = lost
     touch.terminal = over.terminal = True
     touch.direction = -1
-    start = begin.start(drone)
+    start = drone.start(begin)
     start[1] += height
     current, speed = (float(v) for v in motor_model.steady_state(hover, m))
     longest = 10.0 * height / begin.speed

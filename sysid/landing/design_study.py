@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal
 
@@ -23,8 +23,9 @@ from sysid.errors import CampaignError
 from sysid.gear.model import PARAMETERS as GEAR
 from sysid.landing.controllers import Controller, read_number
 from sysid.landing.drone import Drone
-from sysid.landing.maps import MapSettings, landing_maps
+from sysid.landing.maps import landing_maps
 from sysid.landing.outcomes import LANDED, Outcome
+from sysid.landing.settings import StudySettings
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.resume import Computing
 from sysid.types import BoolArray, FloatArray, IntArray
@@ -32,10 +33,9 @@ from sysid.types import BoolArray, FloatArray, IntArray
 Kind = Literal["gear", "motor", "reversal"]
 
 REVERSAL = "reversal_delay"
-SLOPES_DEG = tuple(float(slope) for slope in range(0, 61))
-SPEEDS = (0.3, 0.6, 0.9, 1.2)
+# Largest number of values of one change.
 _MOST = 41
-# What a user may write: spans of values, and single ones.
+# Examples in refusals, by whether single values are asked for.
 _ASKED = {False: "--vary k_t=0.5:2:5", True: "--change k_t=1.5"}
 
 
@@ -153,44 +153,6 @@ def _find(name: str) -> tuple[Kind, str, str]:
         f"no design parameter {name!r}; known are {REVERSAL}, {known}, and every name of the gear's and the "
         "motor's table"
     )
-
-
-@dataclass(frozen=True)
-class StudySettings:
-    """Grid of a study, over slopes [deg] and touchdown speeds [m/s], and when a slope is safe.
-
-    Parameters
-    ----------
-    share : float
-        Least share of the landings that must come to rest within the long distance [1].
-    spread_deg : float
-        Each set also lands with its nose this much up and down [deg]; 0: level only.
-    together : bool
-        The two changes on a grid instead of one at a time.
-    maps : MapSettings
-        Rules and tolerance.
-    """
-
-    slopes_deg: tuple[float, ...] = SLOPES_DEG
-    speeds: tuple[float, ...] = SPEEDS
-    share: float = 0.5
-    spread_deg: float = 0.0
-    together: bool = False
-    maps: MapSettings = field(default_factory=lambda: MapSettings(check=False))
-
-    def __post_init__(self) -> None:
-        if len(self.slopes_deg) < 2:
-            raise CampaignError(f"slopes {list(self.slopes_deg)} deg; give two or more, for example 0:60:1")
-        if not 0.0 < self.share <= 1.0:
-            raise CampaignError(f"share of {self.share:g}; give a number above 0, up to 1")
-        if not 0.0 <= self.spread_deg <= 20.0:
-            raise CampaignError(f"spread of {self.spread_deg:g} deg; give 0 to 20 deg")
-
-    def grids(self) -> list[MapSettings]:
-        """Return the landing map of every attitude at touchdown."""
-        tilts = [0.0] if self.spread_deg == 0 else [0.0, -self.spread_deg, self.spread_deg]
-        level = replace(self.maps, slopes_deg=self.slopes_deg, speeds=self.speeds)
-        return [replace(level, pitch=level.pitch + math.radians(tilt)) for tilt in tilts]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,25 +1,41 @@
-"""A drone to land: one gear set and one motor set, and what hovering needs of them."""
+"""A drone to land: one gear set and one motor set, hovering, and the thrust of its motor pairs.
+
+The thrust does not depend on the motion, and before the trigger every landing hovers; so one history per
+list of steps, on a clock that starts at the trigger, serves every slope and speed.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
 
 from sysid.errors import ExportError
 from sysid.gear import model as gear_model
+from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import find_surface
+from sysid.integrate.piecewise import PiecewiseCubic
+from sysid.landing.controllers import Step
+from sysid.landing.settings import Scenario
 from sysid.motor import model as motor_model
+from sysid.motor.pair_thrust import thrust_history
 from sysid.parameter_sets import ParameterSets, RankedSet
 
 Pairing = Literal["each", "best"]
 PAIRINGS: tuple[Pairing, ...] = ("each", "best")
-# Of equal motors that share a command at each end of the body.
+# Number of equal motors that share a command at each end of the body.
 MOTORS_PER_PAIR = 2
+# Time for which the thrust is computed after the last command [s], constant from then on: ten
+# electromechanical time constants of 0.08 s, and a reversal ends after 0.25 s.
+SETTLING = 1.0
+
+Commands = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +58,14 @@ class Drone:
     def value(self, name: str) -> float:
         """Return a number of the gear, by default the surface's [SI]."""
         return float(self.row[list(gear_model.PARAMETERS).index(name)])
+
+    def start(self, touchdown: Scenario) -> list[float]:
+        """Return x_B, z_B, q_B and rates (6,) at touchdown, frame N [m, rad, s]; x_B is 0."""
+        turn = touchdown.slope - touchdown.pitch
+        depth = self.value("foot_dx") * abs(math.sin(turn)) + self.value("foot_dz") * math.cos(turn)
+        height = depth / math.cos(touchdown.slope)
+        rates = [touchdown.horizontal_speed, -touchdown.speed, touchdown.pitch_rate]
+        return [0.0, height, touchdown.pitch, *rates]
 
     @property
     def weight(self) -> float:
@@ -105,3 +129,56 @@ def drone(gear: RankedSet, motor: RankedSet | None = None) -> Drone:
     surface = find_surface(str(gear.sets.settings.get("surface", "lf"))).name
     name = f"{gear.sets.name} set {gear.rank}"
     return Drone(gear.known(gear_model.PARAMETERS), rotor, surface, name)
+
+
+@dataclass(frozen=True)
+class MotorState:
+    """Command u [1], current [A] and speed [rad/s] of the (rear, front) motors when the trigger comes."""
+
+    command: tuple[float, float]
+    current: tuple[float, float]
+    speed: tuple[float, float]
+
+
+class Motors:
+    """Thrust histories of one drone that hovers until the trigger, or whose motors then have a `state`."""
+
+    def __init__(self, drone: Drone, ideal_reversal: bool = False, state: MotorState | None = None) -> None:
+        self._state = state
+        self._drone = drone
+        self._ideal = ideal_reversal
+        self._histories: dict[tuple[int, Commands], PiecewiseCubic] = {}
+
+    def history(self, commands: Commands, pair: int = 0) -> PiecewiseCubic:
+        """Return the thrust of a pair (0 rear, 1 front) [N] on the trigger's clock.
+
+        `commands` are instants since the trigger [s] and the command u from each on. The pairs differ only
+        where the motors have a `MotorState`.
+        """
+        # A command that repeats the one before changes nothing.
+        changes = tuple(next(equal) for _, equal in groupby(commands, key=itemgetter(1)))
+        state = self._state
+        key = (0 if state is None else pair, changes)
+        if key not in self._histories:
+            times = [-1.0, *(time for time, _ in changes)]
+            before = self._drone.hover_command if state is None else state.command[pair]
+            levels = [before, *(level for _, level in changes)]
+            self._histories[key] = thrust_history(
+                self._drone.motor,
+                times,
+                levels,
+                changes[-1][0] + SETTLING,
+                motors=MOTORS_PER_PAIR,
+                initial="steady" if state is None else (state.current[pair], state.speed[pair]),
+                ideal_reversal=self._ideal,
+            )
+        return self._histories[key]
+
+    def propulsion(self, steps: Sequence[Step], begins: float | Literal["first contact"] = 0.0) -> Propulsion:
+        """Return the thrust of both pairs; the trigger comes at `begins` since the first sample [s]."""
+        return Propulsion(
+            self.history(tuple((step.after, step.rear) for step in steps)),
+            self.history(tuple((step.after, step.front) for step in steps), pair=1),
+            begins=begins,
+            settled=steps[-1].after,
+        )

@@ -14,118 +14,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
-from sysid.errors import CampaignError
 from sysid.gear.propulsion import Propulsion
-from sysid.landing.controllers import IDLE_COMMAND, IMPULSE_COMMAND, Step, impulse
-from sysid.landing.drone import Drone
+from sysid.landing.controllers import Step, impulse
+from sysid.landing.drone import Drone, Motors
 from sysid.landing.outcomes import Rules
-from sysid.landing.scenario import Scenario
-from sysid.landing.simulate import LANDING_TOLERANCE, second_impacts
-from sysid.landing.thrust import Motors
+from sysid.landing.settings import LANDING_TOLERANCE, ImpulseSettings, Scenario
+from sysid.landing.simulate import second_impacts
 from sysid.types import BoolArray, FloatArray, IntArray
 
-# Landings simulated in one call: bounds the memory.
+# Number of landings simulated in one call; it bounds the memory.
 _AT_ONCE = 20_000
 # Largest difference of angular speed that makes no difference when an optimum is refined [rad/s].
 _EQUAL_TURN = 0.02
-
-
-@dataclass(frozen=True)
-class ImpulseSettings:
-    """Which impulses are tried, by default as in Figs. 9 and 10.
-
-    Parameters
-    ----------
-    delays, durations : tuple of float
-        The grid [s].
-    front, rear, idle, after : float
-        Commands of the pairs during the impulse, see `rear_command`; of all motors before and after it [1].
-    ideal_reversal : bool
-        Motors without saturation.
-    horizon : float
-        A second impact is looked for this long after the first [s], or as long as landings are simulated.
-    finest : float
-        The optimum is refined to this step [s]; 0 keeps the grid's.
-    worth : float
-        Share of the turn rate that an impulse must take away, else it is omitted and all reverse at once [1].
-        Low and fast the second impact comes within some 30 ms, and the impulse takes a few per cent away; the
-        paper omits it there. 0 takes the smallest turn rate whatever the gain.
-    equal : float
-        Turn rates below this are all as good as none, so that the attitude decides [rad/s].
-    """
-
-    delays: tuple[float, ...] = tuple(round(0.01 * k, 2) for k in range(27))
-    durations: tuple[float, ...] = tuple(round(0.01 * k, 2) for k in range(17))
-    front: float = IMPULSE_COMMAND
-    rear: float = IDLE_COMMAND
-    idle: float = IDLE_COMMAND
-    after: float = -1.0
-    ideal_reversal: bool = False
-    horizon: float = 1.0
-    finest: float = 2.5e-3
-    worth: float = 0.05
-    equal: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, values in (("delays", self.delays), ("durations", self.durations)):
-            rising = all(b > a for a, b in pairwise(values))
-            if not values or not rising or values[0] < 0:
-                raise CampaignError(f"impulse: {name} {list(values)} s; give increasing times from 0 on")
-        for name in ("front", "rear", "idle", "after"):
-            if not abs(getattr(self, name)) <= 1.0:
-                raise CampaignError(
-                    f"impulse: the command {name!r} is {getattr(self, name):g}; give -1 to 1, 1 being full "
-                    "forward"
-                )
-        if not (self.horizon > 0 and self.finest >= 0 and 0 <= self.worth < 1 and self.equal >= 0):
-            raise CampaignError(
-                f"impulse: horizon {self.horizon:g} s, finest step {self.finest:g} s, worth {self.worth:g}, "
-                f"equal {self.equal:g} rad/s; give a horizon above 0, a worth below 1, nothing negative"
-            )
-
-    @property
-    def has_none(self) -> bool:
-        """Whether no impulse at all is a pair of the grid; else it is tried besides."""
-        return self.delays[0] == self.durations[0] == 0.0
-
-    @property
-    def combinations(self) -> int:
-        """Pairs of the grid, and no impulse at all."""
-        return len(self.delays) * len(self.durations) + (not self.has_none)
-
-    @property
-    def followed_by(self) -> str:
-        """What the motors do after the impulse, as a controller of the command line."""
-        return {-1.0: "reverse", 0.0: "off"}.get(self.after, f"command:{self.after:g}")
-
-    def check_within(self, horizon: float) -> None:
-        """Refuse impulses that end when the simulated time [s] is over: often milliseconds were meant."""
-        if self.delays[-1] + self.durations[-1] >= horizon:
-            raise CampaignError(
-                f"impulse: delays up to {self.delays[-1]:g} s and durations up to {self.durations[-1]:g} s, "
-                f"but only {horizon:g} s are simulated; both are in seconds: write 0.05 for 50 ms, or raise "
-                "--horizon"
-            )
-
-    def steps(self, delay: float, duration: float) -> Sequence[Step]:
-        """Return the controller's steps."""
-        return impulse(delay, duration, self.after, self.front, self.rear, self.idle)
-
-
-def rear_command(front: float = IMPULSE_COMMAND, *, ideal_reversal: bool = False) -> float:
-    """Return the command of the rear pair while the front pair pushes [1]: the paper's two ways.
-
-    A reversal takes too long for an impulse, so the rear pair idles (Figs. 9, 10), and the push of the front
-    pair also drives the drone off the slope. Motors that reverse at once can pull behind as they push in
-    front, "a pure angular impulse" (Fig. 11). The difference is what Fig. 11 shows: with Table II's high
-    friction, on every third degree at eight speeds, faster motors land 65 -> 70 cells and flip in 35 -> 39
-    with the rear pair idle, but 65 -> 83 and 35 -> 23 with it at -0.8.
-    """
-    return -front if ideal_reversal else IDLE_COMMAND
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,9 +79,10 @@ class Impulses:
         """Return the thrust of an impulse; an infinite delay idles for ever."""
         key = (delay, duration)
         if key not in self._thrust:
-            settings = self._settings
-            forever = [Step(0.0, settings.idle, settings.idle)]
-            steps = forever if delay == math.inf else settings.steps(delay, duration)
+            how = self._settings
+            steps: Sequence[Step] = [Step(0.0, how.idle, how.idle)]
+            if delay != math.inf:
+                steps = impulse(delay, duration, how.after, how.front, how.rear_pair, how.idle)
             self._thrust[key] = self._motors.propulsion(steps)
         return self._thrust[key]
 

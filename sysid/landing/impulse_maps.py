@@ -11,9 +11,9 @@ import numpy as np
 from sysid.gear.propulsion import Propulsion
 from sysid.landing.controllers import Controller, Step
 from sysid.landing.drone import Drone
-from sysid.landing.impulse import Impulses, ImpulseSettings, Optimum
-from sysid.landing.maps import CellMap, Fleets, LandingMap, MapSettings, columns_of_fleets, judged
-from sysid.landing.scenario import Scenario
+from sysid.landing.impulse import Impulses, Optimum
+from sysid.landing.maps import CellMap, Fleets, LandingMap, columns_of_fleets, judged
+from sysid.landing.settings import ImpulseSettings, MapSettings, Scenario
 from sysid.landing.simulate import Landings, run
 from sysid.parallel import Columns
 from sysid.resume import Computing
@@ -28,7 +28,7 @@ UNITS = {
 
 def variants(impulses: ImpulseSettings) -> tuple[str, ...]:
     """Name the landings after the search: impulse of the grid or refined, and what follows it."""
-    then = impulses.followed_by
+    then = {-1.0: "reverse", 0.0: "off"}.get(impulses.after, f"command:{impulses.after:g}")
     return f"impulse, then {then}", f"refined impulse, then {then}", "impulse alone"
 
 
@@ -125,15 +125,16 @@ def impulse_maps(
     parts = {f"slope-{s + 1}": rows for s, rows in enumerate(by_slope)}
     work = ImpulseWork(drones, settings, impulses, how.threads)
     ideal = ", ideal reversal" if impulses.ideal_reversal else ""
+    axes = np.array(settings.slopes_deg), np.array(settings.speeds)
     searched, landed = [], []
     for fleet, columns in zip(fleets, columns_of_fleets(work, fleets, parts, how), strict=False):
         whole = iter([np.stack(rows, axis=1) for rows in zip(*columns.values(), strict=True)])
         surface, names = fleet[0].surface, tuple(drone.name for drone in fleet)
         optimum = {name: next(whole) for name in OPTIMUM}
-        searched.append(ImpulseMap(surface, f"impulse{ideal}", names, *settings.axes, optimum))
+        searched.append(ImpulseMap(surface, f"impulse{ideal}", names, *axes, optimum))
         landed += [
             LandingMap(
-                surface, f"{variant}{ideal}", names, *settings.axes, *islice(whole, 4),
+                surface, f"{variant}{ideal}", names, *axes, *islice(whole, 4),
                 checked=settings.check,
             )
             for variant in variants(impulses)

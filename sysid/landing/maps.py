@@ -11,57 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid import __version__
-from sysid.errors import CampaignError
 from sysid.landing.controllers import Controller
-from sysid.landing.drone import Drone
-from sysid.landing.outcomes import LANDED, OUTCOMES, Outcome, Rules
-from sysid.landing.scenario import Scenario, grid
-from sysid.landing.simulate import LANDING_TOLERANCE, Landings, land_many
-from sysid.landing.thrust import Motors
+from sysid.landing.drone import Drone, Motors
+from sysid.landing.outcomes import LANDED, OUTCOMES, Outcome
+from sysid.landing.settings import MapSettings, Scenario
+from sysid.landing.simulate import Landings, land_many
 from sysid.parallel import Columns, Work
 from sysid.resume import Computing, digest
 from sysid.types import BoolArray, FloatArray
 
 Fleets = Sequence[Sequence[Drone]]
 
-# The paper's grid.
-SLOPES_DEG = tuple(float(slope) for slope in range(46))
-SPEEDS = tuple(round(0.05 * step, 2) for step in range(41))
 # Touchdown speeds of a summary [m/s].
 _USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
-
-
-@dataclass(frozen=True)
-class MapSettings:
-    """Cells of a map, over increasing slopes [deg] and touchdown speeds [m/s], and how they are computed.
-
-    `tolerance` bounds the weighted rms error of the rates per step. With `check` every landing is repeated
-    with half of it, to mark those whose class changes. Pitch [rad] and horizontal speed [m/s] are at
-    touchdown.
-    """
-
-    slopes_deg: tuple[float, ...] = SLOPES_DEG
-    speeds: tuple[float, ...] = SPEEDS
-    rules: Rules = field(default_factory=Rules)
-    tolerance: float = LANDING_TOLERANCE
-    check: bool = True
-    pitch: float = 0.0
-    horizontal_speed: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, values in (("slopes", self.slopes_deg), ("speeds", self.speeds)):
-            if not values or any(b <= a for a, b in pairwise(values)):
-                raise CampaignError(f"landing map: {name} {list(values)}; give increasing numbers")
-
-    @property
-    def axes(self) -> tuple[FloatArray, FloatArray]:
-        """Slopes (n,) [deg] and speeds (m,) [m/s]."""
-        return np.array(self.slopes_deg), np.array(self.speeds)
-
-    def cells(self) -> list[Scenario]:
-        """Return the scenario of every cell, slopes outside, speeds inside."""
-        more = {"pitch": self.pitch, "horizontal_speed": self.horizontal_speed}
-        return grid(np.radians(self.slopes_deg), self.speeds, **more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,12 +271,13 @@ def landing_maps(
     work = LandingWork(
         tuple(drone for fleet in fleets for drone in fleet), tuple(controllers), settings, how.threads
     )
+    axes = np.array(settings.slopes_deg), np.array(settings.speeds)
     parts = {f"controller-{c + 1}": np.insert(cells, 0, c, axis=1) for c in range(len(controllers))}
     out = []
     for fleet, columns in zip(fleets, columns_of_fleets(work, fleets, parts, how), strict=False):
-        names, shape = tuple(drone.name for drone in fleet), (len(fleet), len(settings.slopes_deg), -1)
+        names, shape = tuple(drone.name for drone in fleet), (len(fleet), len(axes[0]), -1)
         for controller, part in zip(controllers, parts, strict=True):
             arrays = [column.reshape(shape) for column in columns[part]]
-            head = (fleet[0].surface, controller.label, names, *settings.axes)
+            head = (fleet[0].surface, controller.label, names, *axes)
             out.append(LandingMap(*head, *arrays, checked=settings.check, law=controller.name))
     return tuple(out)

@@ -9,14 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 from enum import IntEnum
-from typing import Literal
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Annotated, ClassVar
 
 from sysid.errors import CampaignError
-from sysid.gear.model import Ending
-from sysid.types import BoolArray, FloatArray
+from sysid.marks import Flag
 
 
 class Outcome(IntEnum):
@@ -46,7 +42,7 @@ _MEANINGS = (
 # The classes that a landing can have; LOST is a failure of the simulator.
 OUTCOMES = (Outcome.SHORT, Outcome.NEAR, Outcome.FLIPPED, Outcome.OTHER)
 LANDED = (Outcome.SHORT, Outcome.NEAR)
-# Simulated time of a landing [s]; more is a slip of the pen.
+# Longest simulated time of a landing [s]; more is a slip of the pen.
 LONGEST_HORIZON = 100.0
 
 
@@ -54,34 +50,23 @@ LONGEST_HORIZON = 100.0
 class Rules:
     """When a landing is over, and what it is called.
 
-    Parameters
-    ----------
-    horizon : float
-        Simulated time from touchdown [s].
-    short, long : float
-        Distances along the slope that divide the classes [m]: the paper's board and its 1 m.
-    rest_speed : float
-        At rest while the body's speed stays below this [m/s] ...
-    rest_turn : float
-        ... and its turn rate below this [rad/s] ...
-    rest_time : float
-        ... for this long [s], after the controller's last command.
-    flip_angle : float
-        Flipped when the body's pitch differs from the slope by more [rad].
-
     Notes
     -----
     On low friction a drone at rest creeps, at 0.016 m/s on 15 deg and 0.11 m/s on 22 deg (the friction law
-    has no stiction), hence a `rest_speed` well above numerical noise.
+    has no stiction), hence a `rest_speed` well above numerical noise. A drone rests only after the
+    controller's last command. The distances are the paper's board and its 1 m.
     """
 
-    horizon: float = 3.0
-    short: float = 0.45
-    long: float = 1.0
-    rest_speed: float = 0.05
-    rest_turn: float = 0.2
-    rest_time: float = 0.2
-    flip_angle: float = math.radians(80.0)
+    panel: ClassVar[str] = "When a landing is over"
+    horizon: Annotated[float, Flag("Simulate this time from the touchdown on.", unit="s")] = 3.0
+    short: Annotated[float, Flag("Short distance that divides the classes.", unit="m")] = 0.45
+    long: Annotated[float, Flag("Long distance that divides the classes.", unit="m")] = 1.0
+    rest_speed: Annotated[float, Flag("A drone at rest is slower than this.", unit="m/s")] = 0.05
+    rest_turn: Annotated[float, Flag("A drone at rest turns more slowly than this.", unit="rad/s")] = 0.2
+    rest_time: Annotated[float, Flag("A drone is at rest when it stays slow this long.", unit="s")] = 0.2
+    flip_angle: Annotated[
+        float, Flag("A drone that leans further from the slope has flipped.", unit="deg")
+    ] = math.radians(80.0)
 
     def __post_init__(self) -> None:
         numbers = asdict(self)
@@ -98,26 +83,3 @@ class Rules:
                 f"landing rules: the short distance {self.short:g} m exceeds the long one {self.long:g} m; "
                 "swap them"
             )
-
-    def ending(self, at: Literal["clock", "rest", "both feet"]) -> Ending:
-        """Return the rules in the form that the kernel takes."""
-        return Ending(at, self.rest_speed, self.rest_turn, self.rest_time, self.flip_angle)
-
-    def classes(
-        self, distance: FloatArray, rest: FloatArray, flip: FloatArray, lost: BoolArray
-    ) -> NDArray[np.int8]:
-        """Return the `Outcome` codes (...) of landings.
-
-        `distance` is the displacement of the body's centre of mass down the slope when the landing was over
-        [m]. `rest` and `flip` are the times when it came to rest and flipped [s], NaN where it did not; the
-        earlier one counts. `lost` is whether the simulation failed.
-        """
-        far = np.abs(distance)
-        flipped = np.isfinite(flip) & ~(rest < flip)
-        rested = np.isfinite(rest) & ~flipped
-        out = np.full(np.shape(distance), Outcome.OTHER, dtype=np.int8)
-        out[rested & (far <= self.long)] = Outcome.NEAR
-        out[rested & (far <= self.short)] = Outcome.SHORT
-        out[flipped & (far <= self.long)] = Outcome.FLIPPED
-        out[np.asarray(lost)] = Outcome.LOST
-        return out

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sysid.errors import CampaignError
 from sysid.gear.model import (
@@ -24,20 +24,16 @@ from sysid.gear.model import (
 )
 from sysid.gear.propulsion import Propulsion
 from sysid.landing.controllers import Controller
-from sysid.landing.drone import Drone
+from sysid.landing.drone import Drone, Motors
 from sysid.landing.outcomes import Outcome, Rules
-from sysid.landing.scenario import Scenario, down_slope
-from sysid.landing.thrust import Motors
+from sysid.landing.settings import LANDING_TOLERANCE, Scenario
 from sysid.shown import Shown
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Bound of the weighted rms error per step. Landings bounce and are chaotic near the borders between classes:
-# `sysid.landing.maps` repeats a map with half of it and marks the cells that change.
-LANDING_TOLERANCE = 1e-4
-# Of one landing's history; 40 columns of them are 300 MB.
+# Largest number of samples of one landing's history; 40 columns of them are 300 MB.
 MOST_SAMPLES = 1_000_000
 HISTORY = (
     "time [s]",
@@ -48,7 +44,7 @@ HISTORY = (
     "rear_thrust [N]", "front_thrust [N]",
 )  # fmt: skip
 EVENT = ("time", "event", "of")
-# An accelerometer averages over its sample.
+# Upward unit vector of the frame N (x, z): at rest an accelerometer reads gravity along it.
 _GRAVITY = np.array([0.0, 1.0])
 _FAILED = (Status.STEP_COLLAPSED, Status.TOO_EXPENSIVE, Status.BLEW_UP)
 
@@ -131,6 +127,37 @@ class Landing(Shown):
         return pd.DataFrame(self.event_rows, columns=EVENT).rename(columns={"time": HISTORY[0]})
 
 
+def ending_of(rules: Rules, at: Literal["clock", "rest", "both feet"]) -> Ending:
+    """Return the rules in the form that the kernel takes."""
+    return Ending(at, rules.rest_speed, rules.rest_turn, rules.rest_time, rules.flip_angle)
+
+
+def classes(
+    rules: Rules, distance: FloatArray, rest: FloatArray, flip: FloatArray, lost: BoolArray
+) -> NDArray[np.int8]:
+    """Return the `Outcome` codes (...) of landings.
+
+    `distance` is the displacement of the body's centre of mass down the slope when the landing was over [m].
+    `rest` and `flip` are the times when it came to rest and flipped [s], NaN where it did not; the earlier
+    one counts. `lost` is whether the simulation failed.
+    """
+    far = np.abs(distance)
+    flipped = np.isfinite(flip) & ~(rest < flip)
+    rested = np.isfinite(rest) & ~flipped
+    out = np.full(np.shape(distance), Outcome.OTHER, dtype=np.int8)
+    out[rested & (far <= rules.long)] = Outcome.NEAR
+    out[rested & (far <= rules.short)] = Outcome.SHORT
+    out[flipped & (far <= rules.long)] = Outcome.FLIPPED
+    out[np.asarray(lost)] = Outcome.LOST
+    return out
+
+
+def down_slope(position: FloatArray, slope: ArrayLike) -> FloatArray:
+    """Return the coordinate down the slope (...) [m] of x and z, the first two entries of (..., >= 2)."""
+    angle = np.asarray(slope, dtype=np.float64)
+    return np.asarray(position[..., 0] * np.cos(angle) - position[..., 1] * np.sin(angle))
+
+
 def land_many(
     drone: Drone,
     scenarios: Sequence[Scenario],
@@ -164,10 +191,10 @@ def run(
 ) -> Landings:
     """Simulate landings under a given thrust, triggered at `triggers` (D,) [s]; see `land_many`."""
     clock = np.array([0.0, rules.horizon])
-    drops, flown = _fly(drone, scenarios, thrust, clock, tolerance, threads, rules.ending("rest"))
+    drops, flown = _fly(drone, scenarios, thrust, clock, tolerance, threads, ending_of(rules, "rest"))
     rest, flip = flown.rest[0], flown.flip[0]
     distance = down_slope(flown.end_state[0], drops.slope) - down_slope(drops.body_state, drops.slope)
-    outcome = rules.classes(distance, rest, flip, np.isin(flown.status[0], _FAILED))
+    outcome = classes(rules, distance, rest, flip, np.isin(flown.status[0], _FAILED))
     return Landings(outcome, distance, rest, flip, triggers)
 
 
@@ -181,7 +208,7 @@ def _fly(
     ending: Ending = TO_THE_CLOCK,
 ) -> tuple[Drops, PopulationSamples]:
     """Simulate landings in the gear's kernel; all share one clock [s]."""
-    starts = np.array([scenario.start(drone) for scenario in scenarios])
+    starts = np.array([drone.start(scenario) for scenario in scenarios])
     slopes = np.array([scenario.slope for scenario in scenarios])
     drops = Drops(slopes, starts, [clock] * len(scenarios), thrust)
     return drops, simulate_population(
@@ -202,7 +229,7 @@ def second_impacts(
     NaN where it does not within the horizon, or not before the drone has flipped.
     """
     clock = np.array([0.0, rules.horizon])
-    drops, flown = _fly(drone, scenarios, thrust, clock, tolerance, threads, rules.ending("both feet"))
+    drops, flown = _fly(drone, scenarios, thrust, clock, tolerance, threads, ending_of(rules, "both feet"))
     state = flown.contact_state[0, :, 1]
     return np.column_stack([flown.first_contact[0, :, 1], state[:, 5], state[:, 2] - drops.slope])
 
@@ -233,8 +260,9 @@ def land(
         (thrust,), trigger = _propulsions(source, controller, triggers, rules), float(triggers[0])
     clock = np.arange(round(rules.horizon * rate) + 1) / rate
     trajectory = simulate(
-        drone.row, scenario.slope, scenario.start(drone), clock,
-        surface=drone.surface, tolerance=LANDING_TOLERANCE, propulsion=thrust, ending=rules.ending("clock"),
+        drone.row, scenario.slope, drone.start(scenario), clock,
+        surface=drone.surface, tolerance=LANDING_TOLERANCE, propulsion=thrust,
+        ending=ending_of(rules, "clock"),
     )  # fmt: skip
     first = {event.kind: event.time for event in reversed(trajectory.events)}
     rest = first.get(EventKind.REST, math.nan)
@@ -246,7 +274,7 @@ def land(
     if flip < rest:
         rest = math.nan  # what comes to rest on its back never landed
     lost = np.array(trajectory.status in _FAILED)
-    code = rules.classes(np.array(distance), np.array(rest), np.array(flip), lost)
+    code = classes(rules, np.array(distance), np.array(rest), np.array(flip), lost)
     return Landing(
         drone, scenario, controller, rules, trajectory, Outcome(int(code)), distance, rest, trigger
     )

@@ -60,7 +60,8 @@ from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import Surface, find_surface
 from sysid.integrate.piecewise import PiecewiseCubic
 from sysid.landing.outcomes import Rules
-from sysid.landing.simulate import LANDING_TOLERANCE
+from sysid.landing.settings import LANDING_TOLERANCE
+from sysid.landing.simulate import ending_of
 from sysid.types import FloatArray
 
 How = Literal["slides", "tips", "stays"]
@@ -216,7 +217,11 @@ def set_down_limit(
     half = PiecewiseCubic.constant(-0.5 * reverse_thrust)
     drops = Drops(slopes, starts, [np.array([0.0, rules.horizon])] * len(slopes), Propulsion(half, half))
     flown = simulate_population(
-        pack(rig.values, law), drops, surface=law, tolerance=LANDING_TOLERANCE, ending=rules.ending("rest")
+        pack(rig.values, law),
+        drops,
+        surface=law,
+        tolerance=LANDING_TOLERANCE,
+        ending=ending_of(rules, "rest"),
     )
     rests = np.isfinite(flown.rest[0]) & ~(flown.flip[0] < flown.rest[0])
     if rests.all():

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from sysid.errors import ExportError
-from sysid.landing.design_study import Change, DesignStudy, StudySettings
+from sysid.landing.design_study import Change, DesignStudy
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
-from sysid.landing.maps import CellMap, LandingMap, MapSettings
+from sysid.landing.maps import CellMap, LandingMap
 from sysid.landing.outcomes import OUTCOMES, Outcome, Rules
+from sysid.landing.settings import StudySettings
 from sysid.storage import FileKind, get_json, get_texts, numbered, put, put_json, put_texts, write_file
 from sysid.types import FloatArray
 
@@ -111,8 +112,8 @@ def _put_study(file: Any, study: DesignStudy, provenance: Mapping[str, Any]) -> 
         "share": settings.share,
         "spread_deg": settings.spread_deg,
         "together": settings.together,
-        "tolerance": settings.maps.tolerance,
-        "rules": asdict(settings.maps.rules),
+        "tolerance": settings.tolerance,
+        "rules": asdict(settings.rules),
     }
     put_json(file, "settings_json", document)
     put_json(file, "provenance_json", provenance)
@@ -134,11 +135,9 @@ def read_study(path: Path) -> tuple[DesignStudy, dict[str, Any]]:
     """Return a design study and its provenance; raises `ExportError` for anything else."""
     with STUDY.opened(path) as file:
         document, provenance = (get_json(file, f"{name}_json") for name in ("settings", "provenance"))
-        maps = MapSettings(rules=Rules(**document["rules"]), tolerance=document["tolerance"], check=False)
-        settings = StudySettings(
-            tuple(file["slope"][()].tolist()), tuple(file["speed"][()].tolist()), maps=maps,
-            **{name: document[name] for name in ("share", "spread_deg", "together")},
-        )  # fmt: skip
+        stated = {name: document[name] for name in ("share", "spread_deg", "together", "tolerance")}
+        slopes, speeds = (tuple(file[name][()].tolist()) for name in ("slope", "speed"))
+        settings = StudySettings(slopes, speeds, **stated, rules=Rules(**document["rules"]))
         changes = tuple(Change(**row | {"values": tuple(row["values"])}) for row in document["changes"])
         arrays = ("designs", "landed", "lost", "outcome", "mean_distance", "mean_time")
         numbers = (file[name][()] for name in arrays)

@@ -138,7 +138,5 @@ def _apart(values: FloatArray, neutral: float) -> list[float]:
 
 
 def _title(study: DesignStudy) -> str:
-    need = (
-        f"at least {100 * study.settings.share:.0f} % of the sets within {study.settings.maps.rules.long:g} m"
-    )
+    need = f"at least {100 * study.settings.share:.0f} % of the sets within {study.settings.rules.long:g} m"
     return f"{study.name}, {study.controller}: slopes landed on ({need})"

@@ -11,13 +11,12 @@ import numpy as np
 from sysid.journal import notice
 from sysid.landing.design_study import (
     DesignStudy,
-    StudySettings,
     design_study,
     designs,
     find_changes,
     fleets_of,
 )
-from sysid.landing.maps import MapSettings, map_identity
+from sysid.landing.maps import map_identity
 from sysid.landing.store import write_study
 from sysid.report.design_figures import figure_design_study
 from sysid.report.drawing import save_figure
@@ -29,7 +28,6 @@ from sysid.workflows.landing_sources import (
     chosen_controllers,
     compute_and_write,
     open_fleets,
-    rules_of,
 )
 from sysid.workflows.options import DesignStudyOptions
 from sysid.workflows.provenance import seen_from
@@ -42,14 +40,11 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
     """
     how, motors, picture = options.compute, options.motors, options.out.with_suffix(".png")
     check_result("study", options.out, how.force, picture)
-    settings = StudySettings(
-        options.slopes_deg, options.speeds, options.share, options.spread_deg, options.together,
-        MapSettings(rules=rules_of(options.rules), check=False),
-    )  # fmt: skip
+    settings = options.study
     changes = find_changes(options.vary)
     (fleet,), origin = open_fleets(motors, [options.sets], options.out)
     (controller,) = chosen_controllers(
-        [options.controller], settings.maps.rules.horizon, file=options.controller_file,
+        [options.controller], settings.rules.horizon, file=options.controller_file,
         ideal_reversal=motors.ideal_reversal,
     )  # fmt: skip
     points = designs(changes, settings.together)

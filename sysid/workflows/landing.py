@@ -16,14 +16,12 @@ from sysid.export.spreadsheet import csv_text
 from sysid.landing.approach import fly_down
 from sysid.landing.controllers import Controller
 from sysid.landing.design_study import find_changes
-from sysid.landing.drone import Drone
-from sysid.landing.scenario import Scenario
+from sysid.landing.drone import Drone, Motors
 from sysid.landing.simulate import EVENT, HISTORY, Landing, land
-from sysid.landing.thrust import Motors
 from sysid.report.fold import print_result, print_table
 from sysid.report.table import Table, TableColumn, table
 from sysid.storage import FileKind, check_file, put, put_json, put_texts, write_file
-from sysid.workflows.landing_sources import chosen_controllers, open_fleets, rules_of
+from sysid.workflows.landing_sources import chosen_controllers, open_fleets
 from sysid.workflows.options import SimulateOptions, TouchdownOptions
 
 LANDINGS = FileKind("sysid-landings", 1, "a file of landings", "simulate again", ExportError)
@@ -56,17 +54,13 @@ def controller_of(options: TouchdownOptions, ideal_reversal: bool = False) -> Co
 
 def land_drone(drone: Drone, options: TouchdownOptions, controller: Controller | None) -> Landing:
     """Simulate one landing, or without a controller a drop; see `simulate_landings`."""
-    scenario = Scenario(
-        options.slope, options.speed, options.pitch, options.pitch_rate, options.horizontal_speed
-    )
-    motors = None
+    scenario, motors = options.begin, None
     for change in find_changes(options.change, single=True) if options.change else ():
         drone = change.apply(drone, change.values[0])
     if options.height is not None and controller is not None:
         way = fly_down(drone, scenario, options.height)
         scenario, motors = way.touchdown, Motors(drone, controller.ideal_reversal, way.motors)
-    rules = rules_of(options.rules)
-    return land(drone, scenario, controller, rules=rules, rate=options.rate, motors=motors)
+    return land(drone, scenario, controller, rules=options.rules, rate=options.rate, motors=motors)
 
 
 def print_landings(landings: Sequence[Landing], files: Sequence[Path], json: bool) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,13 @@ import numpy as np
 
 from sysid.journal import notice, tell
 from sysid.landing.controllers import Controller
-from sysid.landing.impulse import ImpulseSettings, rear_command
+from sysid.landing.drone import Motors
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
-from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps, map_identity
+from sysid.landing.maps import Fleets, LandingMap, landing_maps, map_identity
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments, strangers
 from sysid.landing.static_limits import ramp_limit, rigid_limits
 from sysid.landing.store import MapFile, write_maps
-from sysid.landing.thrust import Motors
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_of_file
@@ -30,7 +29,6 @@ from sysid.workflows.landing_sources import (
     chosen_controllers,
     compute_and_write,
     open_fleets,
-    rules_of,
 )
 from sysid.workflows.options import ImpulseMapOptions, LandingMapOptions
 from sysid.workflows.provenance import seen_from
@@ -38,15 +36,12 @@ from sysid.workflows.provenance import seen_from
 
 def compute_landing_maps(options: LandingMapOptions) -> MapFile | None:
     """Compute, write, draw and print the maps of every surface under every controller; None if stopped."""
-    rules, picture = rules_of(options.rules), options.picture
-    settings = MapSettings(
-        options.slopes_deg, options.speeds, rules, check=options.repeat, pitch=options.pitch,
-        horizontal_speed=options.horizontal_speed,
-    )  # fmt: skip
+    picture = options.picture
+    settings = replace(options.grid, pitch=options.pitch, horizontal_speed=options.horizontal_speed)
     check_result("map", options.out, options.compute.force, picture)
     fleets, origin = open_fleets(options.motors, options.sets, options.out)
     controllers = chosen_controllers(
-        options.controllers, rules.horizon, file=options.controller_file,
+        options.controllers, settings.rules.horizon, file=options.controller_file,
         ideal_reversal=options.motors.ideal_reversal, trigger=options.trigger,
     )  # fmt: skip
     real = read_experiments(options.experiments) if options.experiments else ()
@@ -79,12 +74,9 @@ def compute_impulse_maps(options: ImpulseMapOptions) -> MapFile | None:
     """Search the best impulse of every cell and set, land with it, write and draw; None if stopped."""
     picture = options.picture
     impulse_picture = picture.with_name(f"{picture.stem}-impulse{picture.suffix}")
-    settings = MapSettings(options.slopes_deg, options.speeds, rules_of(options.rules), check=options.repeat)
-    stated, ideal = asdict(options.impulses), options.motors.ideal_reversal
-    # The rear pair follows the paper unless the user states it.
-    if stated["rear"] is None:
-        stated["rear"] = rear_command(options.impulses.front, ideal_reversal=ideal)
-    impulses = ImpulseSettings(**stated, ideal_reversal=ideal)
+    settings = options.grid
+    impulses = replace(options.impulses, ideal_reversal=options.motors.ideal_reversal)
+    impulses = replace(impulses, rear=impulses.rear_pair)
     check_result("map", options.out, options.compute.force, picture, impulse_picture)
     impulses.check_within(settings.rules.horizon)
     fleets, origin = open_fleets(options.motors, options.sets, options.out)

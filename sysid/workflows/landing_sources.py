@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,17 +15,15 @@ from sysid.errors import CampaignError, ExportError
 from sysid.fit.progress import LiveBlock
 from sysid.fit.stopping import stop_on_interrupt
 from sysid.journal import notice, tell
-from sysid.landing.controllers import Controller, find_controller, load_controllers
+from sysid.landing.controllers import Controller, Sensing, find_controller, load_controllers
 from sysid.landing.drone import PAIRINGS, drones
-from sysid.landing.impact_sensor import Sensing
 from sysid.landing.maps import Fleets
-from sysid.landing.outcomes import Rules
 from sysid.parallel import executor
 from sysid.parameter_sets import ParameterSets
 from sysid.report.drawing import check_figure_name
 from sysid.resume import BlockStore, Computing
 from sysid.storage import check_file
-from sysid.workflows.options import ComputeOptions, MotorOptions, RulesOptions
+from sysid.workflows.options import ComputeOptions, MotorOptions
 from sysid.workflows.provenance import seen_from
 from sysid.workflows.show import load_sets
 
@@ -34,11 +31,6 @@ Computed = TypeVar("Computed")
 
 # Blocks that share a cluster at the same time.
 _AT_ONCE = 8
-
-
-def rules_of(options: RulesOptions) -> Rules:
-    """Return when a landing is over."""
-    return Rules(**asdict(options))
 
 
 def chosen_controllers(

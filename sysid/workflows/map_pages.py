@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from sysid.landing.design_study import Change, DesignStudy
 from sysid.landing.maps import LandingMap
 from sysid.landing.outcomes import Rules
 from sysid.landing.store import MAPS, STUDY, MapFile, read_maps, read_study
+from sysid.marks import Flag, field_hints, mark_of
 from sysid.report.cell_explorer import CellAxis, CellChart, explorer
 from sysid.report.design_figures import narrow_figures
 from sysid.report.html import (
@@ -30,7 +31,6 @@ from sysid.report.html import (
 from sysid.report.landing_tables import gains_table, maps_table
 from sysid.types import FloatArray
 from sysid.workflows.map_pictures import file_pictures
-from sysid.workflows.options import Flag, RulesOptions
 from sysid.workflows.reopen import shown_from_here
 
 _SLOPE, _SPEED = ("slope", "deg"), ("touchdown speed", "m/s")
@@ -61,7 +61,7 @@ def map_page(path: Path) -> str:
 def study_page(path: Path) -> str:
     """Return the page of a design study; raises `ExportError` for anything else."""
     study, provenance = read_study(path)
-    rules, simulate = study.settings.maps.rules, _Simulate.of(provenance, path)
+    rules, simulate = study.settings.rules, _Simulate.of(provenance, path)
     changes = " and ".join(change.label for change in study.changes)
     words = f"{path.name}: {study.name}, {study.controller}: {len(study.points)} designs over {changes}"
     figures = side_by_side([
@@ -145,11 +145,11 @@ class _Simulate:
 def _stated_rules(rules: Mapping[str, Any]) -> list[str]:
     """Return the rules that are not the default as options of a command."""
     out = []
-    hints = get_type_hints(RulesOptions, include_extras=True)
-    for row in fields(RulesOptions):
-        if rules[row.name] != row.default:
-            flag = next(mark for mark in get_args(hints[row.name]) if isinstance(mark, Flag))
-            out += [f"--{row.name.replace('_', '-')}", flag.bare(rules[row.name])]
+    usual = Rules()
+    for name, hint in field_hints(Rules).items():
+        flag = mark_of(hint)
+        if isinstance(flag, Flag) and rules[name] != getattr(usual, name):
+            out += [*flag.spelled(name), flag.bare(rules[name])]
     return out
 
 
@@ -240,7 +240,7 @@ def _study_charts(study: DesignStudy, simulate: _Simulate, provenance: Mapping[s
             cells = [
                 np.moveaxis(a[chosen][:, :, m], 0, 1) for a in (study.outcome, study.distance, study.time)
             ]
-            command = simulate(surface, _UP, f"{speed:.12g}", vars(settings.maps.rules), *changed, more)
+            command = simulate(surface, _UP, f"{speed:.12g}", vars(settings.rules), *changed, more)
             charts.append(CellChart(
                 f"{words}, {speed:g} m/s", axis, slopes, ("likeliest; means",), cells[0][None],
                 cells[1][None], cells[2][None], command, share=study.landed[chosen][:, :, m].T,

@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
-from sysid.landing.maps import Fleets, LandingMap, MapSettings, landing_maps
+from sysid.landing.maps import Fleets, LandingMap, landing_maps
 from sysid.landing.outcomes import OUTCOMES, Outcome
+from sysid.landing.settings import ImpulseSettings, MapSettings
 from sysid.landing.store import MapFile
+from sysid.marks import span
 from sysid.report.html import Html, in_true_colours, legend, picture, side_by_side
 from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file
 from sysid.shown import Shown
 from sysid.workflows.landing_maps import limits_of
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets
-from sysid.workflows.options import MotorOptions, span
+from sysid.workflows.options import MotorOptions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,8 +95,7 @@ def impulse_map(
     motors = MotorOptions(Path(motor), ideal_reversal=ideal_reversal)
     fleets, settings = _opened(gears, motors, slopes, speeds)
     tried = (span(delays, "delays"), span(durations, "durations"))
-    rear = rear_command(ideal_reversal=ideal_reversal)
-    impulses = ImpulseSettings(*tried, rear=rear, ideal_reversal=ideal_reversal)
+    impulses = ImpulseSettings(*tried, ideal_reversal=ideal_reversal)
     best, maps = impulse_maps(fleets, settings, impulses)
     limits = limits_of(fleets, after_impulses(impulses))
     return LandingMaps(MapFile(maps, best, _settings(settings, limits), {}))

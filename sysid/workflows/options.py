@@ -1,224 +1,25 @@
-"""Options of the commands, declared once for the command line and for Python.
+"""Options of the commands: what each one takes, declared once for the command line and for Python.
 
-`Annotated` gives a field its place on the command line: `Argument` by position, `Flag` by name. A field that
-is a dataclass itself contributes its fields. A field with neither is for Python only. `sysid.cli.adapter`
-builds the commands from this, so the module imports nothing heavy.
+`sysid.marks` says how a field is declared, and `sysid.cli.adapter` builds the commands from it. What belongs
+to landings themselves is declared with them (`sysid.landing.settings`, `sysid.landing.outcomes`). The module
+imports nothing heavy.
 """
 
 from __future__ import annotations
 
-import difflib
 import math
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
-from functools import partial
-from itertools import pairwise
-from numbers import Integral, Real
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, ClassVar, Literal
 
-from sysid.errors import CampaignError, ExportError, LogError, SysidError, UnitError
+from sysid.errors import CampaignError, ExportError, LogError
 from sysid.journal import notice
-from sysid.units import parse_quantity
+from sysid.landing.outcomes import Rules
+from sysid.landing.settings import Drift, ImpulseSettings, MapSettings, Pitch, Scenario, StudySettings
+from sysid.marks import Argument, Flag, seconds
 
-Options = TypeVar("Options")
-# More values than any grid on the command line needs; a slip of the pen asks for billions.
-_MOST_VALUES = 100_000
-
-
-# What one of a unit is in SI, for bare numbers; every other unit in which they are read is an SI unit.
-_SI = {"deg": math.pi / 180, "mm": 1e-3}
-
-
-@dataclass(frozen=True)
-class Argument:
-    """A field that the command line takes by its position; `help` is what the user reads.
-
-    `read` makes the field's value from what the user gives.
-    """
-
-    help: str
-    read: Callable[[Any], Any] | None = None
-
-
-class Flag:
-    """A field that the command line takes by its name, ``--name`` of the field or one of `names`.
-
-    The user reads `help`, under the heading `panel` where a command has many options. A field with a `unit`
-    takes quantities such as ``"20 deg"``; a bare number is in that unit, and the field's value in SI. `least`
-    is the smallest number that is accepted, in that unit. `read` makes the field's value from the text that
-    the user gives and the name of the option. The help shows `default`, or the field's default.
-    """
-
-    def __init__(
-        self,
-        help: str,
-        *names: str,
-        least: float | None = None,
-        unit: str = "",
-        read: Callable[[str, str], Any] | None = None,
-        default: str = "",
-        panel: str = "",
-    ) -> None:
-        self.help, self.names, self.least, self.unit = help, names, least, unit
-        self.read, self.default, self.panel = read, default, panel
-
-    def quantity(self, text: str, name: str) -> float:
-        """Return what the user gave for the option `name` in SI; `UnitError` where it cannot be used."""
-        value = stated_quantity(text, self.unit, name)
-        if self.least is not None and value < self.least * _SI.get(self.unit, 1.0):
-            raise UnitError(f"{name} {text}: expected {self.least:g} {self.unit} or more")
-        return value
-
-    def bare(self, value: float) -> str:
-        """Return a value, given in SI, as the bare number that the option reads."""
-        return f"{value / _SI.get(self.unit, 1.0):.12g}"
-
-    def shown(self, value: float) -> str:
-        """Return a default, given in SI, in the unit of the option."""
-        return f"{value / _SI.get(self.unit, 1.0):.6g} {self.unit}"
-
-
-def stated_quantity(text: str, unit: str, name: str) -> float:
-    """Return a quantity such as ``20 deg`` in SI, a bare number from `unit`; a refusal names `name`."""
-    try:
-        value = float(text) * _SI.get(unit, 1.0)
-    except ValueError:
-        try:
-            value = parse_quantity(text, unit)
-        except UnitError as error:
-            raise UnitError(f"{name}: {error}; a bare number is in {unit}") from error
-    if not math.isfinite(value):
-        raise UnitError(f"{name} {text}: expected a finite number; a bare number is in {unit}")
-    return value
-
-
-def seconds(text: str, name: str) -> float:
-    """Return a time [s] above 0 from a text such as ``20min``; a lone ``m`` means minutes."""
-    try:
-        value = parse_quantity(text.replace("m", "min") if text[-1:] == "m" else text, "s")
-    except UnitError as error:
-        raise SysidError(f"{name} {text}: {error}") from error
-    if not value > 0:
-        raise SysidError(f"{name} {text}: expected a time above 0, for example 20min")
-    return value
-
-
-def span(text: str, name: str, unit: str = "1") -> tuple[float, ...]:
-    """Return ``first:last:step`` or a list ``a,b,c`` as increasing numbers in `unit`.
-
-    A unit stands behind each number, or behind the last one for all: ``0:45:1 deg``. `name` stands in a
-    refusal.
-    """
-    values: list[float] = []
-    parts = re.split("[:,]", text)
-    behind = parts[-1].strip().lstrip("+-.0123456789eE")
-    if behind and len(parts) > 1 and all(_is_number(part) for part in parts[:-1]):
-        parts = [*(f"{part} {behind}" for part in parts[:-1]), parts[-1]]
-    try:
-        # In `unit`, where bare numbers keep every digit.
-        numbers = [
-            float(part) if _is_number(part) else parse_quantity(part, unit) / _SI.get(unit, 1.0)
-            for part in parts
-        ]
-        if ":" in text:
-            first, last, step = numbers
-            # Never past `last`; the excess keeps 0:0.3:0.1 whole, whose quotient falls short of 3.
-            count = math.floor((last - first) / step + 1e-9) + 1
-            values = [first + step * i for i in range(count if count <= _MOST_VALUES else 0)]
-        else:
-            values = numbers
-    except UnitError as error:
-        raise CampaignError(f"{name} {text!r}: {error}") from error
-    except (ValueError, ZeroDivisionError, OverflowError):
-        pass
-    rising = all(b > a for a, b in pairwise(values))
-    if not values or not rising or not all(math.isfinite(value) for value in values):
-        raise CampaignError(f"{name} {text!r}: expected first:last:step or increasing numbers, as in 0:45:1")
-    return tuple(round(value, 9) for value in values)
-
-
-def python_options(cls: type[Options], given: Mapping[str, Any], **fixed: Any) -> Options:
-    """Return the options `cls` of a call from Python: names are checked and texts read as on a command line.
-
-    Fields that are option classes themselves take theirs by the same names. `fixed` are fields that the
-    caller may not state. Raises `CampaignError` for an unknown name or a value of another kind.
-    """
-    left = dict(given)
-    options: Options = _taken(cls, left, fixed)
-    for name in left:
-        known = sorted(_option_names(cls) - fixed.keys())
-        near = difflib.get_close_matches(name, known, 1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
-        raise CampaignError(f"no option {name!r}; {hint}")
-    return options
-
-
-def _option_names(cls: Any) -> set[str]:
-    hints = get_type_hints(cls)
-    parts = [(f.name, hints[f.name]) for f in fields(cls)]
-    return {n for name, hint in parts for n in (_option_names(hint) if is_dataclass(hint) else {name})}
-
-
-def _taken(cls: Any, given: dict[str, Any], fixed: Mapping[str, Any]) -> Any:
-    """Return the options of a class; what they take of `given` is taken out of it."""
-    values, hints = dict(fixed), get_type_hints(cls, include_extras=True)
-    for part in fields(cls):
-        hint = hints[part.name]
-        if part.name in values:
-            continue
-        if is_dataclass(hint):
-            values[part.name] = _taken(hint, given, {})
-        elif part.name in given:
-            values[part.name] = _read(part.name, given.pop(part.name), hint)
-    return cls(**values)
-
-
-def _read(name: str, value: Any, hint: Any) -> Any:
-    """Return the value of an option as Python states it: a text where the command line takes one."""
-    plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
-    mark = next((m for m in get_args(hint)[1:] if isinstance(m, Flag)), Flag(""))
-    kinds = get_args(plain) if get_origin(plain) in (UnionType, Union) else (plain,)
-    choices = [word for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
-    if value is None and NoneType in kinds:
-        return None
-    if isinstance(value, str) and (mark.read or mark.unit):
-        return mark.read(value, name) if mark.read else mark.quantity(value, name)
-    if choices:
-        fits, expected = value in choices, f"one of {', '.join(map(repr, choices))}"
-    elif Path in kinds:
-        value = Path(value) if isinstance(value, str) else value
-        fits, expected = isinstance(value, Path), "a path"
-    elif bool in kinds:
-        fits, expected = isinstance(value, bool), "True or False"
-    elif mark.unit == "deg" and isinstance(value, Real) and abs(float(value)) > math.tau:
-        raise CampaignError(f"{name} = {value:g}: a bare number is in rad; write {name} = '{value:g} deg'")
-    elif int in kinds or float in kinds:
-        least = -math.inf if mark.least is None else mark.least * _SI.get(mark.unit, 1.0)
-        fits = isinstance(value, Integral if int in kinds else Real) and not isinstance(value, bool)
-        fits = fits and math.isfinite(value) and value >= least
-        expected = "a whole number" if int in kinds else f"a number in SI, or a text such as '1 {mark.unit}'"
-        expected += "" if mark.least is None else f", at least {mark.least:g} {mark.unit}".rstrip()
-    else:
-        fits, expected = isinstance(value, str), "a text"
-    if not fits:
-        raise CampaignError(f"{name} = {value!r}: expected {expected}")
-    return value
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _span(name: str, default: str, help: str, unit: str) -> Flag:
-    help = f"{help} [{unit}]: first:last:step, or a list."
-    return Flag(help, name, read=partial(span, unit=unit), default=default)
+# Suffixes of files in a log folder that are not logs.
+_NO_LOGS = {".toml", ".json", ".md", ".html", ".pdf", ".png", ".svg", ".py", ".cal"}
 
 
 def campaign_file(path: Path) -> Path:
@@ -234,14 +35,6 @@ def campaign_file(path: Path) -> Path:
 
 def _campaign_named(text: str, name: str) -> Path:
     return campaign_file(Path(text))
-
-
-def _degrees(text: str, name: str) -> float:
-    return round(math.degrees(stated_quantity(text, "deg", name)), 9)
-
-
-# What lies beside logs and is none.
-_NO_LOGS = {".toml", ".json", ".md", ".html", ".pdf", ".png", ".svg", ".py", ".cal"}
 
 
 def log_files(paths: tuple[Path, ...]) -> tuple[Path, ...]:
@@ -454,22 +247,6 @@ class MotorOptions:
 
 
 @dataclass(frozen=True)
-class RulesOptions:
-    """When a landing is over; the fields of `sysid.landing.outcomes.Rules`."""
-
-    panel: ClassVar[str] = "When a landing is over"
-    horizon: Annotated[float, Flag("Simulate this time from the touchdown on.", unit="s")] = 3.0
-    short: Annotated[float, Flag("Short distance that divides the classes.", unit="m")] = 0.45
-    long: Annotated[float, Flag("Long distance that divides the classes.", unit="m")] = 1.0
-    rest_speed: Annotated[float, Flag("A drone at rest is slower than this.", unit="m/s")] = 0.05
-    rest_turn: Annotated[float, Flag("A drone at rest turns more slowly than this.", unit="rad/s")] = 0.2
-    rest_time: Annotated[float, Flag("A drone is at rest when it stays slow this long.", unit="s")] = 0.2
-    flip_angle: Annotated[
-        float, Flag("A drone that leans further from the slope has flipped.", unit="deg")
-    ] = math.radians(80.0)
-
-
-@dataclass(frozen=True)
 class ComputeOptions:
     """How a long computation runs, and what is printed of it."""
 
@@ -489,8 +266,6 @@ Trigger = Annotated[
     Literal["contact", "imu"],
     Flag("The controller starts at the first contact, or when the accelerometer feels it (2 g, 30 Hz)."),
 ]
-Pitch = Annotated[float, Flag("Pitch at touchdown, positive down-slope.", unit="deg")]
-Drift = Annotated[float, Flag("Horizontal speed at touchdown, positive down-slope.", unit="m/s")]
 ResultFile = Annotated[Path, Flag("Write the result to this HDF5 file.", panel=_OUTPUT)]
 
 
@@ -498,14 +273,10 @@ ResultFile = Annotated[Path, Flag("Write the result to this HDF5 file.", panel=_
 class TouchdownOptions:
     """How one landing begins and goes on."""
 
-    slope: Annotated[float, Flag("Slope of the surface.", unit="deg")]
-    speed: Annotated[float, Flag("Vertical touchdown speed.", unit="m/s", least=0)]
+    begin: Scenario
     controller: OneController = "reverse"
     controller_file: ControllerFile = None
     trigger: Trigger = "contact"
-    pitch: Pitch = 0.0
-    pitch_rate: Annotated[float, Flag("Pitch rate at touchdown.", unit="rad/s")] = 0.0
-    horizontal_speed: Drift = 0.0
     height: Annotated[
         float | None, Flag("First descend from this height with attitude control.", unit="m")
     ] = None
@@ -513,7 +284,7 @@ class TouchdownOptions:
         str | None, Flag("Fly a changed design, as in k_t=1.5,dx_f=0.8: factors; reversal_delay=50ms adds.")
     ] = None
     rate: Annotated[float, Flag("Write this many samples per second.", unit="Hz", least=10)] = 1000.0
-    rules: RulesOptions = field(default_factory=RulesOptions)
+    rules: Rules = field(default_factory=Rules)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -537,17 +308,7 @@ class MapOptions:
     figure: Annotated[
         Path | None, Flag("Write the figure to this file.", default="beside the HDF5 file", panel=_OUTPUT)
     ] = None
-    slopes_deg: Annotated[tuple[float, ...], _span("--slopes", "0:45:1", "Slopes", "deg")] = span(
-        "0:45:1", "--slopes"
-    )
-    speeds: Annotated[tuple[float, ...], _span("--speeds", "0:2:0.05", "Touchdown speeds", "m/s")] = span(
-        "0:2:0.05", "--speeds"
-    )
-    repeat: Annotated[
-        bool,
-        Flag("Repeat landings at half the tolerance to mark uncertain cells.", "--repeat/--no-repeat"),
-    ] = True
-    rules: RulesOptions = field(default_factory=RulesOptions)
+    grid: MapSettings = field(default_factory=MapSettings)
     compute: ComputeOptions = field(default_factory=ComputeOptions)
 
     @property
@@ -577,39 +338,10 @@ class LandingMapOptions(MapOptions):
 
 
 @dataclass(frozen=True)
-class ImpulseOptions:
-    """Which impulses are tried; fields of `sysid.landing.impulse.ImpulseSettings`."""
-
-    panel: ClassVar[str] = "Impulses"
-    delays: Annotated[tuple[float, ...], _span("--delays", "0:0.26:0.01", "Delays of the impulse", "s")] = (
-        span("0:0.26:0.01", "--delays")
-    )
-    durations: Annotated[
-        tuple[float, ...], _span("--durations", "0:0.16:0.01", "Durations of the impulse", "s")
-    ] = span("0:0.16:0.01", "--durations")
-    front: Annotated[float, Flag("Command of the front pair in the impulse.")] = 0.8
-    rear: Annotated[
-        float | None,
-        Flag(
-            "Command of the rear pair in the impulse.",
-            default="0.1; with --ideal-reversal the opposite of the front pair's",
-        ),
-    ] = None
-    idle: Annotated[float, Flag("Command of all motors before the impulse.")] = 0.1
-    after: Annotated[float, Flag("Command of all motors after the impulse.")] = -1.0
-    worth: Annotated[
-        float, Flag("Leave out an impulse that takes less than this share of the turn rate.")
-    ] = 0.05
-    equal: Annotated[float, Flag("Below this turn rate the attitude decides what is best.", unit="rad/s")] = (
-        0.0
-    )
-
-
-@dataclass(frozen=True)
 class ImpulseMapOptions(MapOptions):
     """``sysid impulse-map``."""
 
-    impulses: ImpulseOptions = field(default_factory=ImpulseOptions)
+    impulses: ImpulseSettings = field(default_factory=ImpulseSettings)
 
 
 @dataclass(frozen=True)
@@ -625,25 +357,5 @@ class DesignStudyOptions:
     out: ResultFile
     controller: OneController = "reverse"
     controller_file: ControllerFile = None
-    slopes_deg: Annotated[tuple[float, ...], _span("--slopes", "0:60:1", "Slopes", "deg")] = span(
-        "0:60:1", "--slopes"
-    )
-    speeds: Annotated[tuple[float, ...], _span("--speeds", "0.3,0.6,0.9,1.2", "Touchdown speeds", "m/s")] = (
-        0.3,
-        0.6,
-        0.9,
-        1.2,
-    )
-    share: Annotated[float, Flag("A slope is safe where this share of landings rests within --long.")] = 0.5
-    spread_deg: Annotated[
-        float,
-        Flag(
-            "Land every set also with its nose this much up and down [deg].",
-            "--spread",
-            read=_degrees,
-            default="0",
-        ),
-    ] = 0.0
-    together: Annotated[bool, Flag("Vary two parameters on a grid and draw a map.")] = False
-    rules: RulesOptions = field(default_factory=RulesOptions)
+    study: StudySettings = field(default_factory=StudySettings)
     compute: ComputeOptions = field(default_factory=ComputeOptions)

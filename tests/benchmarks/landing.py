@@ -19,13 +19,11 @@ from paired import mean_nrmse, measured
 from sysid.export.published import table_1, table_2
 from sysid.gear.model import PARAMETERS, Drops, Ending, prepare, simulate, simulate_population
 from sysid.landing.controllers import find_controller
-from sysid.landing.drone import Drone, drones
-from sysid.landing.impulse import ImpulseSettings
+from sysid.landing.drone import Drone, Motors, drones
 from sysid.landing.impulse_maps import impulse_maps
-from sysid.landing.maps import MapSettings, landing_maps
-from sysid.landing.scenario import Scenario, grid
-from sysid.landing.simulate import LANDING_TOLERANCE, land_many
-from sysid.landing.thrust import Motors
+from sysid.landing.maps import landing_maps
+from sysid.landing.settings import LANDING_TOLERANCE, ImpulseSettings, MapSettings, Scenario, grid
+from sysid.landing.simulate import land_many
 
 
 def fleet(surface, sets=5):
@@ -61,7 +59,7 @@ def rivals(repeats):
     drone = Drone({}, table_1().set_values(), "lf")
     for controller in (find_controller("off"), find_controller("reverse")):
         thrust = Motors(drone).propulsion(controller.steps)
-        starts = np.array([c.start(drone) for c in cells])
+        starts = np.array([drone.start(c) for c in cells])
         slopes = np.array([c.slope for c in cells])
         many = Drops(
             np.tile(slopes, repeats),
@@ -81,7 +79,7 @@ def rivals(repeats):
         some = cells[::3]
         cpu, worst = 0.0, 0.0
         for cell in some:
-            rhs, start, back = gear_rivals.problem(cell.slope, cell.start(drone), thrust)
+            rhs, start, back = gear_rivals.problem(cell.slope, drone.start(cell), thrust)
             _, seconds, rival = measured(
                 lambda rhs=rhs, start=start: solve_ivp(
                     rhs, (0.0, 3.0), start, method="LSODA", rtol=1e-5, atol=1e-7, dense_output=True
@@ -89,12 +87,12 @@ def rivals(repeats):
             )
             cpu += seconds / len(some)
             early = np.linspace(0.0, 0.1, 101)
-            run = simulate(drone.row, cell.slope, cell.start(drone), early, tolerance=1e-6, propulsion=thrust)
+            run = simulate(drone.row, cell.slope, drone.start(cell), early, tolerance=1e-6, propulsion=thrust)
             exact = run.state[:, [0, 1, 2, 7, 8]]
             worst = max(worst, mean_nrmse(back(rival.sol(early).T), exact))
         spent["scipy LSODA, same right-hand side"] = cpu
         if gear_rivals.installed("mujoco"):
-            times = [gear_rivals.mujoco_landing(c.slope, c.start(drone), thrust, 3.0) for c in some]
+            times = [gear_rivals.mujoco_landing(c.slope, drone.start(c), thrust, 3.0) for c in some]
             spent["MuJoCo, own contact law, 1 ms"] = float(np.mean(times))
         base = spent["sysid to 3 s"]
         for name, seconds in spent.items():

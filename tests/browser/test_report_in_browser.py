@@ -18,6 +18,7 @@ import pytest
 from fakes.hostile import VISIBLE
 from fakes.places import PUBLISHED, SAMPLES
 from fakes.reports import SHORT, short_fits
+from sysid.landing.settings import MapSettings, StudySettings
 from sysid.workflows.compare import compare_and_print
 from sysid.workflows.design_study import study_designs
 from sysid.workflows.fit import fit_campaign
@@ -76,11 +77,14 @@ def pages(short):
     options = ReportOptions(against=other_day(folder), out=folder / "against.html")
     out["against"] = write_report(folder / "gear-lf", options)["report"]
     motors = MotorOptions(PUBLISHED / "published-motor.json")
-    grid = {"slopes_deg": (5.0, 20.0, 35.0), "speeds": (0.3, 0.6, 1.2), "compute": ComputeOptions(quiet=True)}
-    options = LandingMapOptions((PUBLISHED_GEAR,), motors, folder / "landing-map.h5", **grid)
+    grid, compute = ((5.0, 20.0, 35.0), (0.3, 0.6, 1.2)), ComputeOptions(quiet=True)
+    options = LandingMapOptions(
+        (PUBLISHED_GEAR,), motors, folder / "landing-map.h5", grid=MapSettings(*grid), compute=compute
+    )
     compute_landing_maps(options)
     vary = "k_t=0.5:2:2,dx_f=1:1.3:2"
-    study_designs(DesignStudyOptions(PUBLISHED_GEAR, motors, vary, folder / "design-study.h5", **grid))
+    out, study = folder / "design-study.h5", StudySettings(*grid)
+    study_designs(DesignStudyOptions(PUBLISHED_GEAR, motors, vary, out, study=study, compute=compute))
     for name in ("landing-map", "design-study"):
         out[name] = write_report(folder / f"{name}.h5")["report"]
     out["comparison"] = folder / "comparison.html"

@@ -5,8 +5,9 @@ import pytest
 
 from sysid.export.published import table_1, table_2
 from sysid.landing.controllers import find_controller
-from sysid.landing.design_study import StudySettings, design_study, find_changes
+from sysid.landing.design_study import design_study, find_changes
 from sysid.landing.drone import drones
+from sysid.landing.settings import StudySettings
 
 
 def landable(surface, vary, speeds, slopes=None, controller="reverse"):

@@ -24,10 +24,10 @@ import pytest
 from sysid.export.published import table_1, table_2
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import drones
-from sysid.landing.impulse import ImpulseSettings, rear_command
 from sysid.landing.impulse_maps import impulse_maps
-from sysid.landing.maps import MapSettings, landing_maps
+from sysid.landing.maps import landing_maps
 from sysid.landing.outcomes import Outcome
+from sysid.landing.settings import ImpulseSettings, MapSettings, rear_command
 
 pytestmark = pytest.mark.slow
 

@@ -11,15 +11,14 @@ from sysid.errors import CampaignError
 from sysid.export.published import table_1
 from sysid.gear.model import Ending, EventKind, simulate
 from sysid.landing.approach import fly_down
-from sysid.landing.controllers import Controller, Step, find_controller
-from sysid.landing.impact_sensor import Sensing
-from sysid.landing.impulse import Impulses, ImpulseSettings, best_pair
-from sysid.landing.maps import LandingWork, MapSettings
+from sysid.landing.controllers import Controller, Sensing, Step, find_controller
+from sysid.landing.drone import Motors
+from sysid.landing.impulse import Impulses, best_pair
+from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import LANDED, Outcome, Rules
-from sysid.landing.scenario import Scenario, grid
-from sysid.landing.simulate import land, land_many, specific_force
+from sysid.landing.settings import ImpulseSettings, MapSettings, Scenario, grid
+from sysid.landing.simulate import ending_of, land, land_many, specific_force
 from sysid.landing.static_limits import rigid_limits
-from sysid.landing.thrust import Motors
 
 SMALL = ImpulseSettings(
     delays=tuple(round(0.02 * k, 2) for k in range(8)), durations=tuple(round(0.04 * k, 2) for k in range(4))
@@ -30,7 +29,7 @@ def test_a_drone_that_is_told_to_hover_stays():
     drone = published()
     hold = Controller("hold", (Step(0.0, drone.hover_command, drone.hover_command),))
     # Clear of the ground: unloaded legs that begin to hang would push it off.
-    body = Scenario(0.0, 0.0).start(drone) + np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0])
+    body = drone.start(Scenario(0.0, 0.0)) + np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0])
     thrust = Motors(drone).propulsion(hold.steps)
     run = simulate(drone.row, 0.0, body, np.array([0.0, 0.5, 1.0]), propulsion=thrust)
     assert run.thrust.sum(axis=1) == pytest.approx(np.full(3, drone.weight), rel=1e-5)
@@ -113,7 +112,7 @@ def test_rules_reach_the_kernel():
     assert tipped.outcome[0] == early.outcome[0] == Outcome.FLIPPED
     assert early.flip[0] < tipped.flip[0] - 0.02
     assert Ending().rest_speed == Rules().rest_speed
-    assert Rules().ending("rest") == Ending("rest")
+    assert ending_of(Rules(), "rest") == Ending("rest")
 
 
 @pytest.mark.parametrize("surface", ["lf", "hf"])

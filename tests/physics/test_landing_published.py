@@ -5,9 +5,9 @@ import pytest
 
 from fakes.landings import published
 from sysid.landing.controllers import find_controller
-from sysid.landing.maps import MapSettings, landing_maps
+from sysid.landing.maps import landing_maps
 from sysid.landing.outcomes import LANDED, Outcome
-from sysid.landing.scenario import Scenario, grid
+from sysid.landing.settings import MapSettings, Scenario, grid
 from sysid.landing.simulate import land_many
 
 SLOPES = np.arange(46)

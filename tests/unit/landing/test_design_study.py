@@ -10,18 +10,11 @@ from fakes.printed import printed
 from sysid.errors import CampaignError, ExportError
 from sysid.export import export
 from sysid.export.published import table_1, table_2
-from sysid.landing.design_study import (
-    Change,
-    DesignStudy,
-    StudySettings,
-    designs,
-    find_changes,
-    fleets_of,
-    shares_of,
-)
+from sysid.landing.design_study import Change, DesignStudy, designs, find_changes, fleets_of, shares_of
 from sysid.landing.drone import drones
 from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome, Rules
+from sysid.landing.settings import StudySettings
 from sysid.landing.store import read_study, write_study
 from sysid.motor.pair_thrust import thrust_history
 from sysid.report.design_figures import figure_design_study
@@ -232,7 +225,7 @@ def test_rules_are_options_of_a_study(files, refused, done):
     rules = ("--short", 0.1, "--long", 2, "--rest-speed", 0.06, "--rest-turn", 0.3, "--rest-time", 0.1)
     done(*late, "--horizon", "3.5", *rules, "--flip-angle", "70", "--quiet")
     found, _ = read_study(files / "s.h5")
-    assert found.settings.maps.rules == Rules(3.5, 0.1, 2.0, 0.06, 0.3, 0.1, math.radians(70.0))
+    assert found.settings.rules == Rules(3.5, 0.1, 2.0, 0.06, 0.3, 0.1, math.radians(70.0))
 
 
 def test_a_study_warns_of_lost_landings(files, monkeypatch, run):

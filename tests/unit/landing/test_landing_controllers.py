@@ -8,11 +8,18 @@ import pytest
 from fakes.landings import published
 from sysid.errors import CampaignError, ExportError
 from sysid.export.published import table_1, table_2
-from sysid.landing.controllers import Controller, Step, find_controller, load_controllers
+from sysid.landing.controllers import (
+    STANDARD_GRAVITY,
+    Controller,
+    Sensing,
+    Step,
+    find_controller,
+    load_controllers,
+)
 from sysid.landing.drone import Drone, drones
-from sysid.landing.impact_sensor import STANDARD_GRAVITY, Sensing
 from sysid.landing.outcomes import Outcome, Rules
-from sysid.landing.scenario import Scenario, down_slope
+from sysid.landing.settings import Scenario
+from sysid.landing.simulate import classes, down_slope
 from sysid.motor.model import simulate as simulate_motor
 
 OWN = """\
@@ -78,11 +85,11 @@ def test_classes_of_fig_8():
     rest = np.array([1, 1, 1, 1, 1, 1, np.nan, np.nan, np.nan, 0.5, 1.5])
     flip = np.array([np.nan] * 6 + [0.5, 0.5, np.nan, 1.0, 1.0])
     lost = np.zeros(11, dtype=bool)
-    codes = rules.classes(distance, rest, flip, lost)
+    codes = classes(rules, distance, rest, flip, lost)
     expected = "SHORT SHORT SHORT NEAR NEAR OTHER FLIPPED OTHER OTHER SHORT FLIPPED"
     assert " ".join(Outcome(code).name for code in codes) == expected
-    assert rules.classes(distance, rest, flip, ~lost).tolist() == [Outcome.LOST] * 11
-    wider = Rules(short=0.1, long=2.0).classes(distance, rest, flip, lost)
+    assert classes(rules, distance, rest, flip, ~lost).tolist() == [Outcome.LOST] * 11
+    wider = classes(Rules(short=0.1, long=2.0), distance, rest, flip, lost)
     assert [Outcome(code).name for code in wider[:6]] == ["NEAR"] * 6
 
 
@@ -96,7 +103,7 @@ def test_rules_that_make_no_sense(wrong):
 
 @pytest.mark.parametrize(("slope", "pitch"), [(0.0, 0.0), (0.3, 0.0), (0.2, 0.5), (0.3, -0.1)])
 def test_the_lowest_foot_touches_and_the_other_does_not_sink(slope, pitch):
-    x, z, q = Scenario(slope, 0.5, pitch=pitch).start(published())[:3]
+    x, z, q = published().start(Scenario(slope, 0.5, pitch=pitch))[:3]
     gaps = []
     for side in (-0.105, 0.105):
         foot = np.array(

@@ -10,11 +10,11 @@ from matplotlib.collections import QuadMesh
 
 from fakes.printed import printed
 from sysid.errors import CampaignError, ExportError, LogError
-from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.impulse_maps import OPTIMUM, UNITS, ImpulseMap
-from sysid.landing.maps import SLOPES_DEG, SPEEDS, LandingMap, MapSettings, cell_edges, nearest_cell
+from sysid.landing.maps import LandingMap, cell_edges, nearest_cell
 from sysid.landing.outcomes import Outcome
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments
+from sysid.landing.settings import SLOPES_DEG, SPEEDS, ImpulseSettings, MapSettings
 from sysid.landing.store import MapFile, read_maps, write_maps
 from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps

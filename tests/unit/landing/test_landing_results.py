@@ -11,16 +11,16 @@ from fakes.landings import published
 from fakes.places import PUBLISHED
 from sysid.errors import CampaignError, ExportError
 from sysid.landing.controllers import find_controller, load_controllers
-from sysid.landing.impulse import Impulses, ImpulseSettings
+from sysid.landing.impulse import Impulses
 from sysid.landing.impulse_maps import variants
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.landing.real_landings import Experiment, read_experiments, strangers
-from sysid.landing.scenario import Scenario
+from sysid.landing.settings import ImpulseSettings, Scenario
 from sysid.landing.simulate import land, land_many
 from sysid.landing.store import read_maps
+from sysid.marks import span
 from sysid.resume import BlockStore
 from sysid.workflows import landing_maps
-from sysid.workflows.options import span
 
 LF, HF, MOTOR = (PUBLISHED / f"published-{name}.json" for name in ("gear-lf", "gear-hf", "motor"))
 CELLS = ("--slopes", "4", "--speeds", "0.3", "--no-repeat")

@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import pytest
@@ -13,17 +13,10 @@ from sysid.cli import app
 from sysid.cli.adapter import command
 from sysid.cli.root import EXIT_CODES, GROUPS
 from sysid.errors import CampaignError, LogError, SysidWarning, UnitError
-from sysid.landing.impulse import ImpulseSettings
 from sysid.landing.outcomes import Rules
-from sysid.workflows.options import (
-    Argument,
-    Flag,
-    ImpulseOptions,
-    RulesOptions,
-    campaign_file,
-    log_files,
-    span,
-)
+from sysid.landing.settings import ImpulseSettings, MapSettings, StudySettings
+from sysid.marks import Argument, Flag, field_hints, mark_of, span
+from sysid.workflows.options import campaign_file, log_files
 
 
 @dataclass(frozen=True)
@@ -168,9 +161,9 @@ def test_an_option_means_the_same_in_every_command():
                     assert meant.setdefault(option, meaning) == meaning, (name, option)
 
 
-@pytest.mark.parametrize(("options", "domain"), [(RulesOptions, Rules), (ImpulseOptions, ImpulseSettings)])
-def test_options_have_the_defaults_of_the_landing(options, domain):
-    shared = {f.name for f in fields(options)} - {"rear"}  # the command derives it
-    assert shared <= {f.name for f in fields(domain)}
-    for name in shared:
-        assert getattr(options(), name) == getattr(domain(), name)
+@pytest.mark.parametrize("settings", [MapSettings(), ImpulseSettings(), StudySettings(), Rules()])
+def test_the_help_shows_the_defaults_of_grids(settings):
+    for name, hint in field_hints(type(settings)).items():
+        flag = mark_of(hint)
+        if flag and flag.read and flag.names != ("--spread",):
+            assert flag.read(flag.default, name) == getattr(settings, name)
