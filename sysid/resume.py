@@ -1,8 +1,8 @@
 """Unfinished results: kept on disk while they are computed, continued after a kill, by one process at a time.
 
-An unfinished result has a folder next to it: a lock, the identity (what must be equal for the result
-to be continued) and states of the computation, each written whole or not at all. Fits keep one state per run
-(`sysid.fit.checkpoint`); maps and design studies keep one per finished block of rows.
+An unfinished result has a folder next to it: a lock, the identity (what must be equal for the result to be
+continued) and the finished blocks, each written whole or not at all. A block of a map or of a design study is
+some of its rows, a block of a fit is a stage of a run (`sysid.fit.checkpoint`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -28,27 +28,26 @@ from sysid.parallel import Columns, Executor, LocalThreads, Work
 from sysid.storage import check_place, write_file
 from sysid.types import FloatArray
 
-# What reading a damaged block may raise.
-_DAMAGE = (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
-# Key of an identity: the costs of a few fixed candidates, as hexadecimal numbers.
-PROBES = "probe_costs"
-# What a refusal calls a key of an identity that does not read well.
-_WORDS = {PROBES: "the cost of the same candidates (its inputs or code)"}
-# How long to wait for the lock: another process may only be looking at it [s].
+# Errors that reading a damaged block may raise.
+DAMAGE = (
+    OSError, ValueError, TypeError, LookupError, EOFError, MemoryError, OverflowError, zipfile.BadZipFile,
+    zlib.error, NotImplementedError, SyntaxError,
+)  # fmt: skip
+# Time to wait for the lock [s]: another process may only be looking at it.
 _PATIENCE = 0.3
 
 
-class Unfinished:
-    """The folder of an unfinished result; locked against other processes until `close`.
+class BlockStore:
+    """The finished blocks of an unfinished result; locked against other processes until `close`.
 
     `result` is where the whole will be written. `identity` (JSON-able) must be equal for it to be continued;
-    the words of a key, joined by underscores, stand in the refusal. `resume` continues from existing states;
-    otherwise there must be none, or `force` discards them. `notes` are sentences about the states.
+    the words of a key, joined by underscores, stand in the refusal. `resume` continues from existing blocks;
+    otherwise there must be none, or `force` discards them. `notes` are sentences about the blocks.
 
     Raises
     ------
     SysidError
-        (`ERROR`) when another process works on the result, states are in the way, there are none to continue,
+        (`ERROR`) when another process works on the result, blocks are in the way, there are none to continue,
         or the identity differs.
     """
 
@@ -56,13 +55,14 @@ class Unfinished:
     SUFFIX: ClassVar[str] = ".blocks"
     STATES: ClassVar[str] = "*.npz"
     WHAT: ClassVar[str] = "result"
+    _FILE: ClassVar[str] = "identity.json"
 
     def __init__(
-        self, result: str | Path, identity: Mapping[str, Any], *, resume: bool = False, force: bool = False
+        self, result: str | Path, identity: Mapping[str, object], *, resume: bool = False, force: bool = False
     ) -> None:
         self.result = Path(result)
         self.folder = self.folder_of(result)
-        self.identity: dict[str, Any] = exact_json.plain(dict(identity))
+        self.identity: dict[str, object] = exact_json.plain(dict(identity))
         self.notes: list[str] = []
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -80,14 +80,15 @@ class Unfinished:
                 self.take_up()
             else:
                 self._remove_states()
-                self.begin()
+                identity_text = exact_json.dumps(self.identity).encode("utf-8")
+                write_file(self.folder / self._FILE, identity_text, self.ERROR)
         except BaseException:
             self.close()
             raise
 
     @classmethod
     def check_start(cls, result: str | Path, *, resume: bool, force: bool) -> None:
-        """Refuse early: no place for a result, another process works on it, states are in the way or lack."""
+        """Refuse early: no place for a result, another process works on it, blocks are in the way or lack."""
         check_place(result, cls.ERROR)
         if in_use(cls.folder_of(result)):
             raise cls.ERROR(cls._running(result))
@@ -107,20 +108,25 @@ class Unfinished:
             )
 
     def take_up(self) -> None:
-        """Check and read the states of an unfinished result."""
+        """Check the identity, and keep the stored one: it is the one of the blocks."""
+        try:
+            stored = exact_json.loads((self.folder / self._FILE).read_text(encoding="utf-8"))
+            if not isinstance(stored, dict):
+                raise ValueError(f"{self._FILE} holds no identity")
+        except (OSError, ValueError) as error:
+            refusal = f"{self.folder}: cannot be continued ({error}); discard it with --force"
+            raise self.ERROR(refusal) from error
+        self.refuse_other(stored)
+        self.identity = stored
 
-    def begin(self) -> None:
-        """Write what every begun result needs."""
-
-    def refuse_other(self, stored: Mapping[str, Any], but: Collection[str] = ()) -> None:
+    def refuse_other(self, stored: Mapping[str, object], but: Collection[str] = ()) -> None:
         """Refuse an identity that differs from this result's in a key that is not one of `but`."""
         for key in {**stored, **self.identity}:
             now, then = self.identity.get(key), stored.get(key)
             if key not in but and now != then:
-                words = _WORDS.get(key) or f"the {key.replace('_', ' ')}"
                 raise self.ERROR(
-                    f"{self.folder}: cannot be continued because {words} differs (now {_short(now)}, then "
-                    f"{_short(then)}); restore it, or start again with --force"
+                    f"{self.folder}: cannot be continued because the {key.replace('_', ' ')} differs (now "
+                    f"{_short(now)}, then {_short(then)}); restore it, or start again with --force"
                 )
 
     def _remove_states(self) -> None:
@@ -140,7 +146,7 @@ class Unfinished:
         self.close()
 
     def close(self) -> None:
-        """Let other processes in, once; a folder without states is removed."""
+        """Let other processes in, once; a folder without blocks is removed."""
         if not self._lock.is_locked:
             return
         self._lock.release()
@@ -149,22 +155,51 @@ class Unfinished:
 
     @classmethod
     def folder_of(cls, result: str | Path) -> Path:
-        """Return the folder in which the states of an unfinished result lie."""
+        """Return the folder in which the blocks of an unfinished result lie."""
         path = Path(result)
         return path.parent / (path.name + cls.SUFFIX)
 
     @classmethod
     def kept(cls, folder: Path) -> bool:
-        """Return whether a folder has states."""
+        """Return whether a folder has blocks."""
         return any(folder.glob(cls.STATES))
 
     @classmethod
     def _running(cls, result: str | Path) -> str:
         return f"{result}: another process is working on this {cls.WHAT}; wait for it, or choose --out"
 
+    def load(self, name: str) -> Columns | None:
+        """Return a finished block, None where it must be computed (again)."""
+        path = self.folder / f"{name}.npz"
+        if not path.is_file():
+            return None
+        try:
+            with np.load(path) as file:
+                if str(file["block"]) != self._block(name):
+                    raise ValueError("it is no block of this result")
+                return tuple(file[f"arr_{i}"] for i in range(len(file.files) - 1))
+        except DAMAGE as error:
+            self.damaged(name, error)
+            return None
+
+    def damaged(self, name: str, error: BaseException) -> None:
+        """Note that a block cannot be used."""
+        path = self.folder / f"{name}.npz"
+        self.notes.append(f"{path}: damaged ({error}), so it is computed again")
+
+    def _block(self, name: str) -> str:
+        """Return what a block's file states, so that no file of another name, result or program is one."""
+        return digest([self.identity, name])
+
+    def save(self, name: str, columns: Columns) -> None:
+        """Keep a finished block."""
+        buffer = io.BytesIO()
+        np.savez(buffer, *columns, block=np.array(self._block(name)))
+        write_file(self.folder / f"{name}.npz", buffer.getvalue(), self.ERROR)
+
 
 def in_use(folder: Path) -> bool | None:
-    """Return whether a process holds the lock of a folder of states; no lock is made for that.
+    """Return whether a process holds the lock of a folder of blocks; no lock is made for that.
 
     None where the lock may not be opened (another user's, or on a read-only disk).
     """
@@ -181,52 +216,9 @@ def in_use(folder: Path) -> bool | None:
     return False
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = "nothing" if value is None else str(value)
     return text if len(text) <= 40 else f"{text[:12]}…"
-
-
-class BlockStore(Unfinished):
-    """Finished blocks of one result."""
-
-    _FILE: ClassVar[str] = "identity.json"
-
-    def begin(self) -> None:
-        """Write the identity."""
-        write_file(self.folder / self._FILE, exact_json.dumps(self.identity).encode("utf-8"), self.ERROR)
-
-    def take_up(self) -> None:
-        """Check the identity."""
-        try:
-            stored = exact_json.loads((self.folder / self._FILE).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            refusal = f"{self.folder}: cannot be continued ({error}); discard it with --force"
-            raise self.ERROR(refusal) from error
-        self.refuse_other(stored)
-
-    def load(self, name: str) -> Columns | None:
-        """Return a finished block, None where it must be computed (again)."""
-        path = self.folder / f"{name}.npz"
-        if not path.is_file():
-            return None
-        try:
-            with np.load(path) as file:
-                if str(file["block"]) != self._block(name):
-                    raise ValueError("it is no block of this result")
-                return tuple(file[f"arr_{i}"] for i in range(len(file.files) - 1))
-        except _DAMAGE as error:
-            self.notes.append(f"{path}: damaged ({error}), so it is computed again")
-            return None
-
-    def _block(self, name: str) -> str:
-        """Return what a block's file states, so that no file of another name, result or program is one."""
-        return digest([self.identity, name])
-
-    def save(self, name: str, columns: Columns) -> None:
-        """Keep a finished block."""
-        buffer = io.BytesIO()
-        np.savez(buffer, *columns, block=np.array(self._block(name)))
-        write_file(self.folder / f"{name}.npz", buffer.getvalue(), self.ERROR)
 
 
 @dataclass(frozen=True)
@@ -282,6 +274,6 @@ class Computing:
         return done
 
 
-def digest(value: Any) -> str:
+def digest(value: object) -> str:
     """Return the SHA-256 of anything that JSON can store, for an identity."""
     return hashlib.sha256(exact_json.dumps(value, indent=None).encode("utf-8")).hexdigest()

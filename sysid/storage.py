@@ -2,7 +2,9 @@
 
 New content goes to a temporary name next to its destination and takes that name only when it is complete on
 disk. A full disk, an error or Ctrl-C leaves the earlier content and nothing else; a killed process may leave
-a file or folder whose name starts with a dot and ends in ``.part``.
+a file or folder whose name starts with a dot and ends in ``.part``. While a folder is replaced (``--force``),
+its name is free for the instant between two renames: after a kill just then, the earlier content lies whole
+in ``.NAME.old.*.part``.
 
 An HDF5 file of sysid has the attributes ``schema`` and ``version``; its numeric datasets have ``axes`` and
 ``unit``; JSON texts have the rest. It is built in memory and written by `write_file`, because the
@@ -11,7 +13,6 @@ HDF5 library ends the process on a full disk.
 
 from __future__ import annotations
 
-import ctypes
 import io
 import os
 import shutil
@@ -160,27 +161,12 @@ def check_folder(
         )
 
 
-# Of renameat2 in Linux: each takes the other's name, in one step.
-_EXCHANGE, _HERE = 2, -100
-
-
-def exchanged(new: Path, path: Path) -> bool:
-    """Give two folders each other's name in one step; False where the system cannot."""
-    try:
-        call = ctypes.CDLL(None).renameat2
-    except (OSError, AttributeError, TypeError):
-        return False
-    return bool(call(_HERE, os.fsencode(new), _HERE, os.fsencode(path), _EXCHANGE) == 0)
-
-
 def _swap(new: Path, path: Path) -> None:
     if not path.exists():
         os.replace(new, path)
         return
-    if exchanged(new, path):
-        shutil.rmtree(new, ignore_errors=True)
-        return
-    # A kill between the two renames leaves the old folder under its temporary name.
+    # No portable call replaces a folder that is not empty. A kill between the two renames leaves the old
+    # folder whole, and the new one complete, under their temporary names.
     aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.old.", suffix=".part", dir=path.parent))
     try:
         os.replace(path, aside / path.name)

@@ -2,6 +2,6 @@
 
 `problem` states what a model offers to a fit, `nrmse` scores simulated samples, and `objective` scores
 candidates. `breeders` propose candidates, `search` runs them, `stopping` ends a run, and `least_squares`
-finishes it. `run_log` and `checkpoint` keep what a run needs to be continued; `progress` reports. `history`
+finishes it. `checkpoint` keeps finished stages; `progress` reports. `history`
 and `result` are the outcome, and `store` writes it.
 """

@@ -14,23 +14,22 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from math import ceil
-from typing import Protocol
+from typing import get_args
 
 import numpy as np
 
 from sysid.errors import FitError
 from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.breeders.breeder import Breeder, Start
+from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.least_squares import LeastSquares
 from sysid.fit.objective import Objective, causes_of
-from sysid.fit.run_log import RunMemory, StageMemory
 from sysid.fit.settings import SearchSettings, StopRule
-from sysid.fit.stopping import StopReason
-from sysid.fit.trial import Evaluation
+from sysid.fit.stopping import CutReason, StopReason
+from sysid.fit.trial import Evaluation, count_causes
 from sysid.types import FloatArray
 
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
@@ -47,9 +46,9 @@ ROUGH_POPULATION = 16
 FIRST_GENERATIONS = 3
 # What may be used of a budget until the end of each stage that another one may follow.
 _SHARES, _FAST_SHARES = (0.6,), (0.3, 0.5, 0.8)
-# A generation that takes longer is scored in parts of about this [s], so that a kill costs no more.
-PART_TIME = 1.0
-# Between two looks at what the user wants [s].
+# Reasons that end a stage before its time: resumed, it starts again.
+_CUT = get_args(CutReason)
+# Polling interval for Ctrl-C [s].
 _HEARING = 0.2
 
 
@@ -67,25 +66,16 @@ class Hooks:
         Called with the run (from 0) and every new `Generation`.
     on_run : callable
         Called with the run (from 0) and its history when it ends.
-    keep : callable
-        Called with the run (from 0), its memory, and whether a stage has just ended.
     should_stop : callable
         Asked after every generation; True ends the fit and keeps what was found.
     """
 
     on_generation: Callable[[int, Generation], None] = _ignore
     on_run: Callable[[int, RunHistory], None] = _ignore
-    keep: Callable[[int, RunMemory, bool], None] = _ignore
     should_stop: Callable[[], bool] = lambda: False
 
 
 _NO_HOOKS = Hooks()
-
-
-class _Breeds(Protocol):
-    def __call__(
-        self, name: str, n_free: int, population: int, seed: int, start: Start | None
-    ) -> Breeder: ...
 
 
 def run_one(
@@ -94,38 +84,28 @@ def run_one(
     run: int = 0,
     *,
     time_limit: float | None = None,
-    memory: RunMemory | None = None,
+    checkpoint: Checkpoint | None = None,
     hooks: Hooks = _NO_HOOKS,
-    breeds: _Breeds = breeder,
-    candidate_time: float | None = None,
 ) -> RunHistory:
     """Run one of the independent runs of a fit.
 
     Parameters
     ----------
     run : int
-        Which one, from 0.
+        Number of the run, from 0.
     time_limit : float, optional
         Of this run, from now [s].
-    memory : RunMemory, optional
-        What was scored before the run was cut off; it is continued, and the memory grows.
-    breeds : callable
-        `breeder`, or `BreederApart` to breed in another process.
-    candidate_time : float, optional
-        What a candidate takes to score [s], until it was measured; a first generation that would take over
-        a second is then scored in parts.
+    checkpoint : Checkpoint, optional
+        Its finished stages are taken as they are; those that finish now are kept there.
 
     Raises
     ------
     FitError
-        When there is no free parameter, a cost is not finite, or the memory is of another search.
+        When there is no free parameter, a cost is not finite, or the checkpoint cannot be used.
     """
     if not objective.space.free:
         raise FitError("no parameter is free, so there is nothing to fit; name the free ones in the campaign")
-    seed = settings.run_seeds()[run]
-    memory = RunMemory(seed) if memory is None else memory
-    memory.reopen()
-    return _Run(objective, settings, run, seed, time_limit, memory, hooks, breeds, candidate_time).history()
+    return _Run(objective, settings, run, time_limit, checkpoint, hooks).history()
 
 
 @dataclass
@@ -133,46 +113,63 @@ class _Run:
     objective: Objective
     settings: SearchSettings
     run: int
-    seed: int
     time_limit: float | None
-    memory: RunMemory
+    checkpoint: Checkpoint | None
     hooks: Hooks
-    breeds: _Breeds
-    candidate_time: float | None
     started: float = field(default_factory=lambda: time.perf_counter())
     evaluations: int = 0
     simulations: int = 0
     before: float = 0.0  # wall time of the stages that have ended [s]
-    lowest: float = float("inf")
+    # Generation of the lowest cost, as a stage of its own.
+    best: StageHistory | None = None
 
     def history(self) -> RunHistory:
+        seed = self.settings.run_seeds()[self.run]
+        n_free = len(self.objective.space.free)
+        if self.checkpoint is not None:
+            self.best = self.checkpoint.best(self.run, n_free)
         stages: list[StageHistory] = []
         start: Start | None = None
+        cut: StopReason | None = None
         left = list(self.settings.stages)
         while left:
             number, name = len(stages), left.pop(0)
-            memory = self.memory.stage(number, name)
-            if name == "least-squares":
-                population = 0
-                bred: Breeder = LeastSquares(self.objective, stages[-1].cube[-1], stages[-1].cost[-1])
+            kept = None
+            if self.checkpoint is not None:
+                kept = self.checkpoint.finished(self.run, number, name, n_free)
+            if kept is not None:
+                stage, start = kept
+                self.evaluations += stage.evaluations
+                self.simulations += stage.simulations
             else:
-                small = self.settings.first_generations or (start is not None and start.axes is not None)
-                finishing = ROUGH_POPULATION if small else FINISH_POPULATION
-                searching = name == self.settings.algorithm
-                population = self.settings.population if searching else finishing
-                seed = self.seed if searching else _child_seed(self.seed, number)
-                bred = self.breeds(name, len(self.objective.space.free), population, seed, start)
-            with closing(bred):
-                stages.append(self._bred(name, bred, self._rule(name, number, population), memory))
+                if name == "least-squares":
+                    population = 0
+                    bred: Breeder = LeastSquares(self.objective, stages[-1].cube[-1], stages[-1].cost[-1])
+                else:
+                    small = self.settings.first_generations or (start is not None and start.axes is not None)
+                    finishing = ROUGH_POPULATION if small else FINISH_POPULATION
+                    searching = name == self.settings.algorithm
+                    population = self.settings.population if searching else finishing
+                    own = seed if searching else _child_seed(seed, number)
+                    bred = breeder(name, n_free, population, own, start)
+                stage = self._bred(name, bred, self._rule(name, number, population))
                 start = bred.start()
-            self.before += stages[-1].wall_time
-            reason = stages[-1].stop_reason
-            if reason == "interrupted":
+                if stage.stop_reason in _CUT:
+                    cut = stage.stop_reason
+                # A stage after one that was cut short is not that of an uninterrupted run.
+                if self.checkpoint is not None and cut is None:
+                    self.checkpoint.keep(self.run, number, stage, start)
+            stages.append(stage)
+            self.before += stage.wall_time
+            if stage.stop_reason == "interrupted":
                 break
             if name == "least-squares":
                 # Where more is left than noise, the search goes on as if least squares had not been tried.
-                left += [self.settings.algorithm] * (reason == "unexplained") + ["cmaes"]
-        return RunHistory(self.seed, tuple(stages))
+                left += [self.settings.algorithm] * (stage.stop_reason == "unexplained") + ["cmaes"]
+        # The run was farther when it was killed or stopped before.
+        if cut and self.best is not None and self.best.cost.min() < min(stage.cost.min() for stage in stages):
+            stages.append(replace(self.best, stop_reason=cut))
+        return RunHistory(seed, tuple(stages))
 
     def _rule(self, name: str, number: int, population: int) -> StopRule:
         """Return the rule of a stage; of the run's budgets all stages but the last get a share."""
@@ -195,113 +192,68 @@ class _Run:
             rule = replace(rule, max_generations=min(rule.max_generations, first))
         return rule
 
-    def _bred(self, name: str, bred: Breeder, rule: StopRule, memory: StageMemory) -> StageHistory:
-        remembered, already = len(memory.cost), memory.spent
-        # While a checkpoint is replayed, Ctrl-C and the clock do not end a stage that had ended already: the
-        # next stage starts from its last generation.
-        open_end = memory.ended is None
-        began = time.perf_counter()
-        generations: list[Generation] = []
-        best: list[float] = []
+    def _bred(self, name: str, bred: Breeder, rule: StopRule) -> StageHistory:
+        began, causes = time.perf_counter(), causes_of(self.objective)
         evaluations_before, simulations_before = self.evaluations, self.simulations
+        generations: list[Generation] = []
+        failures: list[dict[str, int]] = []
+        best: list[float] = []
         reason: StopReason | None = None
-        residuals: FloatArray | None = None
+
+        def history(reason: StopReason, part: slice) -> StageHistory:
+            return StageHistory(
+                algorithm=name,
+                cube=np.stack([g.cube for g in generations[part]]),
+                cost=np.stack([g.cost for g in generations[part]]),
+                failed=np.array([g.failed for g in generations[part]], dtype=np.int64),
+                causes=tuple(failures[part]),
+                evaluations=self.evaluations - evaluations_before,
+                simulations=self.simulations - simulations_before,
+                wall_time=time.perf_counter() - began,
+                stop_reason=reason,
+            )
+
         while reason is None:
             points = bred.ask()
             if points is None:
                 reason = bred.ended
                 break
-            new = len(generations) >= remembered
-            if not new and not memory.recalls(len(generations), points, self.memory.elsewhere):
-                self.memory.forget_from(memory, len(generations))
-                new, remembered = True, len(generations)
-            if new:
-                scored, residuals = self._scored(points, memory, already - began, bred.needs_residuals)
-                elapsed = already + time.perf_counter() - began
-                memory.append(points, scored, elapsed, causes_of(self.objective))
-            elif bred.needs_residuals:
-                # What is remembered are costs: the finisher takes seconds, so it is simulated again.
-                residuals = self.objective.examine(points)[1]
-            bred.tell(memory.cost[len(generations)], residuals)
-            generation = self._generation(memory, len(generations), name, bred.population())
+            if bred.needs_residuals:
+                scored, residuals = self.objective.examine(points)
+            else:
+                scored, residuals = _scored(self.objective, points), None
+            bred.tell(scored.cost, residuals)
+            self.evaluations += len(points)
+            self.simulations += scored.simulations
+            cube, cost = bred.population()
+            lowest = float("inf") if self.best is None else float(self.best.cost.min())
+            generation = Generation(
+                number=len(generations) + 1,
+                cube=cube,
+                cost=cost,
+                failed=int(np.count_nonzero(scored.failed)),
+                evaluations=self.evaluations,
+                simulations=self.simulations,
+                elapsed=self.before + time.perf_counter() - began,
+                algorithm=name,
+                lowest=min(lowest, float(cost.min())),
+            )
             generations.append(generation)
-            best.append(min([*best[-1:], float(generation.cost.min())]))
-            if new:
-                self.hooks.on_generation(self.run, generation)
-            # What was remembered was not ended by clock or user then.
-            live = new or (open_end and len(generations) == remembered)
-            if live and self.hooks.should_stop():
+            failures.append(count_causes(scored.failed, causes))
+            best.append(min([*best[-1:], float(cost.min())]))
+            if cost.min() < lowest:
+                self.best = history("interrupted", slice(-1, None))
+            self.hooks.on_generation(self.run, generation)
+            if self.hooks.should_stop():
                 reason = "interrupted"
             else:
-                elapsed = time.perf_counter() - self.started if live else 0.0
-                spread = _spread(memory.cost[len(generations) - 1])
+                elapsed, spread = time.perf_counter() - self.started, _spread(scored.cost)
                 reason = rule.reason(best, self.evaluations, len(points), elapsed, spread)
-            if new and reason is None:
-                self.hooks.keep(self.run, self.memory, False)
+            if self.checkpoint is not None and self.best is not None:
+                self.checkpoint.keep_best(self.run, self.best, now=reason is not None)
         if not generations:
             raise FitError(f"{name} bred no candidate at all; widen the bounds or enlarge the population")
-        memory.ended = reason
-        self.hooks.keep(self.run, self.memory, True)
-        return StageHistory(
-            algorithm=name,
-            cube=np.stack([g.cube for g in generations]),
-            cost=np.stack([g.cost for g in generations]),
-            failed=np.array([g.failed for g in generations], dtype=np.int64),
-            causes=tuple(memory.causes[: len(generations)]),
-            evaluations=self.evaluations - evaluations_before,
-            simulations=self.simulations - simulations_before,
-            wall_time=already + time.perf_counter() - began,
-            stop_reason=reason,
-        )
-
-    def _scored(
-        self, points: FloatArray, memory: StageMemory, offset: float, residuals: bool
-    ) -> tuple[Evaluation, FloatArray | None]:
-        """Score a generation; one that takes long in parts, each of which is kept.
-
-        Rows do not know each other, so the cut changes no bit. `offset` brings the clock to the stage's [s].
-        With `residuals` they are returned as well, and there are no parts.
-        """
-        if residuals:
-            return self.objective.examine(points)
-        done = memory.recalls_begun(points, self.memory.elsewhere)
-        while True:
-            size = self._part(len(points) - done)
-            began = time.perf_counter()
-            scored = _scored(self.objective, points[done : done + size])
-            now = time.perf_counter()
-            self.candidate_time = (now - began) / size
-            if size == len(points):
-                return scored, None
-            begun = memory.begin(points, scored, offset + now)
-            done += size
-            if done == len(points):
-                return Evaluation(begun.cost, begun.failed, begun.simulations), None
-            self.hooks.keep(self.run, self.memory, False)
-
-    def _part(self, left: int) -> int:
-        """Return how many of the candidates that are left make a part."""
-        parts = 1 if self.candidate_time is None else ceil(left * self.candidate_time / PART_TIME)
-        return ceil(left / max(parts, 1))
-
-    def _generation(
-        self, memory: StageMemory, index: int, name: str, population: tuple[FloatArray, FloatArray]
-    ) -> Generation:
-        cube, cost = population
-        self.evaluations += len(memory.cost[index])
-        self.simulations += memory.simulations[index]
-        self.lowest = min(self.lowest, float(cost.min()))
-        return Generation(
-            number=index + 1,
-            cube=cube,
-            cost=cost,
-            failed=memory.failed[index],
-            evaluations=self.evaluations,
-            simulations=self.simulations,
-            elapsed=self.before + memory.elapsed[index],
-            algorithm=name,
-            lowest=self.lowest,
-        )
+        return history(reason, slice(None))
 
 
 def _spread(cost: FloatArray) -> float:
@@ -329,11 +281,9 @@ def run_many(
     objective: Objective,
     settings: SearchSettings,
     *,
-    memories: Sequence[RunMemory] = (),
+    checkpoint: Checkpoint | None = None,
     hooks: Hooks = _NO_HOOKS,
     at_once: int = 1,
-    breeds: _Breeds = breeder,
-    candidate_time: float | None = None,
 ) -> tuple[RunHistory, ...]:
     """Run the independent runs of a fit.
 
@@ -341,15 +291,13 @@ def run_many(
     ----------
     objective : Objective
         Scores from several threads when `at_once` is above 1.
-    memories : sequence of RunMemory
-        What runs had scored before they were cut off, by seed.
+    checkpoint : Checkpoint, optional
+        Finished stages of the runs; see `run_one`.
     hooks : Hooks
         Never called from two threads at a time.
     at_once : int
         Runs that are searched at the same time, so that machines do not idle at a generation's end. The
         numbers do not depend on it.
-    breeds, candidate_time
-        As of `run_one`.
 
     Returns
     -------
@@ -362,7 +310,6 @@ def run_many(
     that a fit cut by its time limit still has one set per run.
     """
     started = time.perf_counter()
-    known = {memory.seed: memory for memory in memories}
     hooks = _one_at_a_time(hooks)
     failed = threading.Event()
 
@@ -370,7 +317,7 @@ def run_many(
         return failed.is_set() or hooks.should_stop()
 
     def search_run(run: int) -> RunHistory | None:
-        if run and stop():
+        if run and stop() and not (checkpoint is not None and checkpoint.begun(run)):
             return None
         limit = settings.stop.time_limit
         if limit is not None:
@@ -381,10 +328,8 @@ def run_many(
             settings,
             run,
             time_limit=limit,
-            memory=known.get(settings.run_seeds()[run]),
+            checkpoint=checkpoint,
             hooks=replace(hooks, should_stop=stop),
-            breeds=breeds,
-            candidate_time=candidate_time,
         )
         hooks.on_run(run, history)
         return history
@@ -423,4 +368,4 @@ def _one_at_a_time(hooks: Hooks) -> Hooks:
 
         return locked
 
-    return Hooks(guarded(hooks.on_generation), guarded(hooks.on_run), guarded(hooks.keep), hooks.should_stop)
+    return Hooks(guarded(hooks.on_generation), guarded(hooks.on_run), hooks.should_stop)

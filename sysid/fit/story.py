@@ -36,7 +36,7 @@ class Story(Generic[P]):
 
     @property
     def accuracy(self) -> Mapping[str, Any]:
-        """Further choices that must be equal for a fit to be continued; see `sysid.resume.Unfinished`."""
+        """Further choices that must be equal for a fit to be continued; see `sysid.resume.BlockStore`."""
         return {}
 
     @property

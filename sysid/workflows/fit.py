@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
@@ -16,8 +15,7 @@ import numpy as np
 from sysid.campaign import FitTable
 from sysid.errors import FitError, SysidError
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_finding
-from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION, breeder
-from sysid.fit.breeders.in_process import BreederApart
+from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
 from sysid.fit.kind import Course, FitOutcome
@@ -45,8 +43,6 @@ from sysid.workflows.trust import assess_fit
 
 # Runs that share a cluster at the same time: while one breeds, the others keep its workers busy.
 _RUNS_AT_ONCE = 8
-# Workers that one process can breed for: a candidate takes 0.1 ms to breed and 3 ms to simulate.
-_FED_BY_ONE = 16
 # Candidates that are scored to recognise an objective.
 _PROBES = 4
 
@@ -168,7 +164,7 @@ def fit_campaign(
         except KeyboardInterrupt:
             # Aborted by a second Ctrl-C, or by the first one before or after the search.
             if Checkpoint.kept(Checkpoint.folder_of(folder)):
-                tell(f"{folder}: aborted; what was scored is kept, continue with --resume")
+                tell(f"{folder}: aborted; finished stages are kept, continue with --resume")
             raise
     if missing:
         say(f"warning: {missing}") if say else notice("no-intervals", missing)
@@ -263,26 +259,21 @@ def _search(
 
     A set flag ends the search and keeps what was scored.
     """
-    for note in checkpoint.notes:
-        notice("checkpoint", note)
-    if checkpoint.memories:
-        done = sum(len(stage.cost) for memory in checkpoint.memories for stage in memory.stages)
-        tell(f"continuing {len(checkpoint.memories)} runs after {done} generations")
+    if options.resume:
+        begun, stages = checkpoint.state()
+        tell(f"continuing {begun} runs after {stages} finished stages")
     progress.expect(noise_floor(fitted.blocks), candidate_time)
-    dask = options.dask
-    # One process would breed too slowly for many workers; each further one costs a start.
-    apart = dask is not None and (dask != "local" or (os.cpu_count() or 1) > _FED_BY_ONE)
-    with executor(dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
-        hooks = Hooks(progress.on_generation, progress.on_run, checkpoint.keep, flag)
+    with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
+        hooks = Hooks(progress.on_generation, progress.on_run, flag)
         runs = run_many(
             SpreadObjective(fitted, where),
             settings,
-            memories=checkpoint.memories,
+            checkpoint=checkpoint,
             hooks=hooks,
             at_once=where.at_once,
-            breeds=BreederApart if apart else breeder,
-            candidate_time=candidate_time,
         )
+    for note in checkpoint.notes:
+        notice("checkpoint", note)
     ended = {stage.stop_reason for run in runs for stage in run.stages}
     # Runs that were not begun have been called off.
     called_off = "interrupted" in ended or len(runs) < settings.runs

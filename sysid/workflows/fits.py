@@ -7,14 +7,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from sysid.errors import FitError
-from sysid.fit.checkpoint import read_state, run_numbers, state_files
+from sysid.fit.checkpoint import Checkpoint, glance
 from sysid.fit.store import FIT_FILE
 from sysid.report.fold import print_result, print_table
 from sysid.report.table import listed
 from sysid.resume import in_use
 from sysid.storage import numbered
-
-_SUFFIX = ".checkpoint"
 
 
 @dataclass(frozen=True)
@@ -49,9 +47,9 @@ def list_fits(folder: str | Path) -> list[FitEntry]:
             name = path.parent.relative_to(folder).as_posix()
             entries[name] = _finished(name, path)
     for pattern in ("*", "*/*"):
-        for path in folder.glob(pattern + _SUFFIX):
-            if run_numbers(path):
-                name = path.relative_to(folder).as_posix().removesuffix(_SUFFIX)
+        for path in folder.glob(pattern + Checkpoint.SUFFIX):
+            if Checkpoint.kept(path):
+                name = path.relative_to(folder).as_posix().removesuffix(Checkpoint.SUFFIX)
                 entries[name] = _unfinished(name, path)
     return [entries[name] for name in sorted(entries)]
 
@@ -71,19 +69,9 @@ def _finished(name: str, path: Path) -> FitEntry:
 
 
 def _unfinished(name: str, path: Path) -> FitEntry:
-    lowest, changed, runs = None, 0.0, run_numbers(path)
-    for run in runs:
-        for file in state_files(path, run):
-            try:
-                memory, _ = read_state(file)
-            except FitError:
-                continue
-            costs = [float(cost.min()) for stage in memory.stages for cost in stage.cost]
-            lowest = min([*costs, *([] if lowest is None else [lowest])], default=None)
-            changed = max(changed, file.stat().st_mtime)
-            break
+    runs, lowest, changed = glance(path)
     state = {True: "running", False: "stopped", None: "unfinished"}[in_use(path)]
-    return FitEntry(name, state, lowest, len(runs), changed)
+    return FitEntry(name, state, lowest, runs, changed)
 
 
 def print_fits(folder: Path, json: bool = False) -> None:

@@ -22,7 +22,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 
 
 def fit_identity(settings: SearchSettings, story: Story) -> dict[str, Any]:
-    """Return what must be equal for a fit to be continued; see `sysid.resume.Unfinished`.
+    """Return what must be equal for a fit to be continued; see `sysid.resume.BlockStore`.
 
     The story is of all trials. More runs, or another time limit, do not hinder.
     """

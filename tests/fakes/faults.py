@@ -6,8 +6,6 @@ import os
 import tempfile
 from contextlib import contextmanager
 
-from sysid import storage
-
 # What changes a disk, beside `tempfile` and `io.open`, by which `pathlib` and `os.fdopen` open for writing.
 _CALLS = ("replace", "rename", "unlink", "rmdir", "mkdir", "fsync", "chmod", "link", "symlink")
 KINDS = ("fails", "half", "full", "killed")
@@ -92,5 +90,4 @@ def faulty(monkeypatch, disk):
             patch.setattr(os, name, counted(name, getattr(os, name)))
         for name in ("mkstemp", "mkdtemp"):
             patch.setattr(tempfile, name, counted(name, getattr(tempfile, name)))
-        patch.setattr(storage, "exchanged", counted("exchange", storage.exchanged))
         yield disk

@@ -12,7 +12,7 @@ SETTINGS = search.SearchSettings(40, 3, 5, StopRule(max_generations=14), "ga", "
 
 
 class Paced(Bowl):
-    """Slow enough that a kill hits every part of a fit, writing and generations under way included."""
+    """Slow enough that a kill hits every part of a fit, writing included."""
 
     def evaluate(self, cube):
         time.sleep(5e-5 * len(cube))
@@ -21,10 +21,9 @@ class Paced(Bowl):
 
 def work(fit, resume):
     checkpoint.INTERVAL = 0.0
-    search.PART_TIME = 1e-3
     hold = checkpoint.Checkpoint(fit, IDENTITY, resume=resume)
     print("begun", flush=True)
-    search.run_many(Paced(), SETTINGS, memories=hold.memories, hooks=search.Hooks(keep=hold.keep))
+    search.run_many(Paced(), SETTINGS, checkpoint=hold)
 
 
 if __name__ == "__main__":

@@ -69,7 +69,3 @@ class Breeder(Protocol):
     def start(self) -> Start:
         """Return where a finisher begins."""
         return Start.of_population(self.population()[0])
-
-    def close(self) -> None:
-        """Release what was taken; by default nothing was."""
-        return

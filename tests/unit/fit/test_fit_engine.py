@@ -12,9 +12,7 @@ import pytest
 from fakes.bowl import SHORT, Bowl, Decay, assert_same_run, run_genetic, table
 from sysid.errors import FitError
 from sysid.fit.breeders.algorithms import ALGORITHMS, Start, breeder
-from sysid.fit.breeders.in_process import BreederApart
 from sysid.fit.result import bound_findings, ranked_sets
-from sysid.fit.run_log import RunMemory
 from sysid.fit.search import Hooks, run_many, run_one
 from sysid.fit.settings import SearchSettings, StopRule
 from sysid.fit.stopping import StopFlag
@@ -221,52 +219,10 @@ def test_a_wrong_model_is_searched_as_if_least_squares_had_not_been_tried():
     assert run.best[-1] <= plain.best[-1] * (1 + 1e-6)
 
 
-@pytest.mark.parametrize("rough", [0.0, 0.01])
-def test_least_squares_cut_at_any_generation_continues_to_the_same_bits(rough):
-    settings = SearchSettings(40, 1, 5)
-    whole = run_one(Decay(rough), settings)
-    for cut in sorted({1, 4, 9, 25, len(whole.best) - 2, len(whole.best)}):
-        memory, counter = RunMemory(settings.run_seeds()[0]), Decay(rough)
-        first = run_one(
-            counter, settings, memory=memory, hooks=Hooks(should_stop=lambda n=cut, c=counter: c.calls >= n)
-        )
-        assert first.stop_reason == "interrupted"
-        assert_same_run(run_one(Decay(rough), settings, memory=memory), whole)
-
-
-@pytest.mark.parametrize("algorithm", ["ga", "matlab-ga", "cmaes", "de", "pso"])
-def test_a_run_cut_at_any_generation_continues_to_the_same_bits(algorithm):
-    settings = SearchSettings(40, 1, 5, StopRule(max_generations=14), algorithm, "cmaes")
-    whole = run_one(Bowl(), settings)
-    for cut in sorted({1, 5, 13, min(20, len(whole.best)), len(whole.best)}):
-        memory, counter = RunMemory(settings.run_seeds()[0]), Bowl()
-        first = run_one(
-            counter, settings, memory=memory, hooks=Hooks(should_stop=lambda n=cut, c=counter: c.calls >= n)
-        )
-        assert first.stop_reason == "interrupted"
-        again = Bowl()
-        second = run_one(again, settings, memory=memory)
-        # Nothing is simulated twice.
-        assert counter.calls + again.calls == len(whole.best)
-        assert_same_run(second, whole)
-
-
-def test_a_memory_of_another_search_is_refused():
-    settings = SearchSettings(40, 1, 5, SHORT, "ga", "cmaes")
-    memory = RunMemory(settings.run_seeds()[0])
-    run_one(Bowl(), settings, memory=memory)
-    memory.stages[0].asked[6] ^= 1
-    with pytest.raises(FitError, match=r"generation 7 of ga asks for other candidates .* --force"):
-        run_one(Bowl(), settings, memory=memory)
-
-
 def test_runs_at_once_give_the_same_numbers():
     settings = SearchSettings(40, 5, 5, StopRule(max_generations=14), "ga", "cmaes")
     for a, b in zip(run_many(Bowl(), settings), run_many(Bowl(), settings, at_once=3), strict=True):
         assert_same_run(a, b)
-
-    apart = run_many(Bowl(), replace(settings, runs=1), breeds=BreederApart)
-    assert_same_run(apart[0], run_one(Bowl(), settings))
 
     class Broken(Bowl):
         def evaluate(self, cube):
@@ -360,27 +316,6 @@ def test_ranked_sets_are_the_best_of_each_last_generation():
     assert (low.code, low.parameters, high.code) == ("at-lower-bound", ("p0",), "at-upper-bound")
     assert low.sentence.startswith("3 of 3 sets end at the lower bound of p0 (p_0), 1 N/m")
     assert "upper bound of p2 (p_2), 100 N/m" in high.sentence
-
-
-def test_a_stop_while_a_run_is_replayed_loses_no_finisher():
-    settings = SearchSettings(40, 1, 3, SHORT, "ga", "cmaes")
-    memory = RunMemory(settings.run_seeds()[0])
-    asked = []
-
-    def late():
-        asked.append(1)
-        return len(asked) > 20
-
-    assert (
-        run_one(Bowl(), settings, memory=memory, hooks=Hooks(should_stop=late)).stop_reason == "interrupted"
-    )
-    paid = [len(stage.cost) for stage in memory.stages]
-    assert len(paid) == 2
-    # Ctrl-C at once: what was remembered is all there is, and it is all there.
-    again = run_one(Bowl(), settings, memory=memory, hooks=Hooks(should_stop=lambda: True))
-    assert again.stop_reason == "interrupted"
-    assert [len(stage.cost) for stage in memory.stages] == paid
-    assert [len(stage.cost) for stage in again.stages] == paid
 
 
 def test_a_flat_cost_ends():

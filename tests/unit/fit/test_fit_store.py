@@ -16,7 +16,7 @@ import pytest
 import sysid
 from fakes.bowl import assert_same_run
 from fakes.fits import full_fit
-from sysid import exact_json, storage
+from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit import store
 from sysid.fit.store import check_new_fit, read_fit, summary, write_fit
@@ -128,8 +128,6 @@ def test_full_disk_leaves_the_old_fit(tmp_path, monkeypatch, where):
         only = lambda path, data: full_disk() if path.suffix == ".txt" else written(path, data)  # noqa: E731
         monkeypatch.setattr(Path, "write_bytes", only)
     else:
-        # Where the system cannot exchange two folders.
-        monkeypatch.setattr(storage, "exchanged", lambda new, path: False)
         renamed, calls = os.replace, []
 
         def second_fails(source, target):

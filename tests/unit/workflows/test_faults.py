@@ -48,7 +48,6 @@ def campaign(tmp_path_factory):
 def replaced(campaign, tmp_path, monkeypatch):
     """Return a function that replaces a fit on a disk, and returns what stopped it, if anything did."""
     monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-    monkeypatch.setattr(checkpoint, "_LONGEST_INTERVAL", 0.0)
     path, old, _ = campaign
 
     def run(disk):
@@ -83,6 +82,10 @@ def survives(campaign, replaced, at, kind):
     what = (at, kind, disk.names[at], error)
     assert error is None or isinstance(error, Killed) == (kind == "killed"), what
     _, old, new = campaign
+    if kind == "killed" and not out.exists():
+        # Between two renames: the old fit is whole under a name that tells it.
+        (aside,) = out.parent.glob(".fit.old.*.part/fit")
+        shutil.copytree(aside, out)
     assert numbers(out) in (numbers(old), numbers(new)), what
     if error is None:
         assert numbers(out) == numbers(new), what

@@ -139,7 +139,7 @@ def test_an_aborted_fit_says_how_it_goes_on(campaign, monkeypatch, run):
         code, _, err = run(*fit)
     assert code == 130
     folder = Path("fits") / "synthetic-lf"
-    kept = f"{folder}: aborted; what was scored is kept, continue with --resume"
+    kept = f"{folder}: aborted; finished stages are kept, continue with --resume"
     assert err.endswith(f"{kept}\nstopped by the user\n")
     assert signal.getsignal(signal.SIGINT) is before
     assert not folder.exists()
