@@ -17,7 +17,7 @@ from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
 from sysid.types import FloatArray
 
 _DIMENSION, _WEIGHT, _THRUST, _AXES = "#009E73", "#7A5195", "#E69F00", "#555555"
-# What the rear and the front foot do in each.
+# State of the rear and of the front foot in each mode of the hybrid.
 _FEET = {
     "both slip": ("slips", "slips"),
     "rear sticks": ("sticks", "slips"),
@@ -30,7 +30,7 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     """Draw frames, lengths and forces of the planar model (Fig. 2), to scale: values [SI], slope [rad]."""
     lengths = ("joint_dx", "joint_dz", "foot_dx", "foot_dz", "thrust_point_dx")
     v = {name: 1e3 * values[name] for name in lengths}
-    # As wide as a phone shows it: letters keep their size.
+    # The figure is no wider than a phone shows it, so letters keep their size.
     figure, axes = panel(4.1)
     axes.set_aspect("equal")
     axes.set_axis_off()

@@ -31,7 +31,7 @@ BEST = "#D55E00"
 OTHERS = "#56B4E9"
 MASKED = "#E6E6E6"
 RUNS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
-# What was done with a trial.
+# Words for the use of a trial.
 USES = {"fit": "fitted", "validate": "not fitted"}
 # Width of a figure on a page that a phone shows too [in].
 WIDTH = 4.3

@@ -110,7 +110,7 @@ class FitReport:
 
     title: ClassVar[str] = "What the trials say"
     noun: ClassVar[str] = "trial"
-    # What else the figures of measured and simulated signals show.
+    # Sentence on further content of the figures of measured and simulated signals.
     about_signals: ClassVar[str] = ""
     # Methods in the order of the page; two of them side by side in a wide window.
     sections: ClassVar[tuple[str | tuple[str, str], ...]] = (
@@ -118,7 +118,7 @@ class FitReport:
         ("spread", "correlation"), "profiles", "ladder", "filter_response", ("validation", "provenance"),
     )  # fmt: skip
 
-    # What a kind may add.
+    # Members that a kind may replace.
 
     @property
     def model(self) -> str:
@@ -315,7 +315,7 @@ class FitReport:
 
     def _runs(self) -> str:
         agreement, total = self.fit.agreement, len(self.fit.runs)
-        # Where a run was cut is no optimum, so none is the best one.
+        # A run that was cut ends in no optimum, so none is the best one.
         if agreement.unfinished:
             return f"{agreement.sentence()}."
         if total == 1:

@@ -19,7 +19,7 @@ from sysid.errors import printable
 from sysid.report.table import Table
 
 _STYLES = {"": "", "strong": "bold", "good": "green", "doubtful": "yellow", "bad": "red"}
-# What rich draws around every cell [characters].
+# Width that rich draws around every cell [characters].
 _AROUND = 2
 
 
@@ -66,7 +66,7 @@ def print_table(table: Table, console: Console | None = None) -> None:
             bundles.append([k])
     groups: list[list[int]] = [[0]]
     for bundle in bundles:
-        # What is too wide by itself is split like single columns.
+        # A group that is too wide by itself is split like single columns.
         for piece in [[k] for k in bundle] if too_wide([0, *bundle]) else [bundle]:
             if len(groups[-1]) > 1 and too_wide([*groups[-1], *piece]):
                 groups.append([0])

@@ -31,7 +31,7 @@ _PATH, _STEPS = re.compile(r' d="[^"]*"'), re.compile(r"\s*([MLHVCQZz])\s*")
 _NUMBERS, _DECIMALS = re.compile(r' (?:d|x|y)="[^"]*"|translate\([^)]*\)'), re.compile(r"(\d+\.\d\d)\d+")
 # A cell with more characters is prose, which may be broken [characters].
 _LONGEST_CELL = 40
-# What needs no escape in an address inside double quotes.
+# Characters that need no escape in an address inside double quotes.
 _SAFE = " =:;,/()'-."
 _PART = re.compile(r'<h2 id="([^"]*)">(.*?)</h2>')
 

@@ -44,7 +44,7 @@ _ROOM = 6.0
 _APART, _INSIDE = 0.11, 0.05
 # Longest list of controllers and their thrusts in the legend [characters].
 _LONGEST = 40
-# What a table may say of a real landing: a word, marker, colour, what the legend calls it.
+# Outcomes of a real landing in a table: word, marker, colour, name in the legend.
 _MARKERS = (
     ("short", "o", COLOURS[Outcome.SHORT], "at rest nearby"),
     ("landed", "o", OTHERS, "landed"),
@@ -311,7 +311,7 @@ def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legen
         (chart.mean_distance, _DISTANCES, _DISTANCE_COLOUR, "solid", "m", "mean distance to rest"),
         (chart.mean_time, _TIMES, _TIME_COLOUR, _TIME_STYLE, "s", "mean time to rest"),
     ):
-        # Where hardly anything lands a mean says little, and its contours are a tangle.
+        # A mean over a cell in which hardly anything lands says little, and its contours are a tangle.
         known = np.where(landed & np.isfinite(values), values, np.nan)
         low, high = np.nanmin(known, initial=np.inf), np.nanmax(known, initial=0.0)
         inside = [level for level in levels if low < level < high]

@@ -23,7 +23,7 @@ _PRINTED_CONSTANT, _RATING_RPM_PER_VOLT = 0.099, 960.0
 _REVERSE_THRUST = 12.0
 # Slope on which the paper's drone slides from rest on low friction [deg].
 _PAPER_SLIDES = 22.0
-# Of the equations, what is no parameter: symbol, unit, meaning.
+# Symbols of the equations that are no parameters: symbol, unit, meaning.
 _VARIABLES = (
     ("u", "1", "command of a motor, −1 (full reverse) to 1"),
     ("V_c", "V", "voltage that the command sets"),
@@ -87,7 +87,7 @@ def reversal_delay(
     motor: ParameterSets, before: float = 0.62, after: float = -1.0, share: float = 0.9
 ) -> float:
     """Return the time from a reversal command to a share of the final thrust [s]."""
-    # From before the command on: a steady start is one under the command that holds there.
+    # The start lies before the command: a steady start is one under the command that holds there.
     time = np.linspace(-0.1, 1.5, 3201)
     run = simulate(motor.set_values(1), [-1.0, 0.0], [before, after], time, initial="steady")
     final = float(run.thrust[-1])

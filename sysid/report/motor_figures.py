@@ -58,7 +58,7 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
         for number, log in enumerate(logs):
             colour = RUNS[number % len(RUNS)]
             for group in (g for g in log.groups if (g.before, g.after) == pair):
-                # Of each pair of commands, the repetition of median time is drawn.
+                # The thick line of a pair of commands is its repetition of median time.
                 reached = [r for r in group.reversals if np.isfinite(r.to_level)]
                 ranked = sorted(reached, key=lambda r: r.to_level)
                 middle = ranked[len(ranked) // 2] if ranked else group.reversals[0]

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from sysid.documents import rounded
 
-# What a cell's colour says; a reader who sees no colours loses nothing.
+# Meaning of a cell's colour; a reader who sees no colours loses nothing.
 Tone = Literal["", "strong", "good", "doubtful", "bad"]
 NONE = "—"
 

@@ -356,7 +356,7 @@ def channel_line(document: CheckDocument) -> str:
     for row in document.parameters:
         order = sorted(row.channels.items(), key=lambda pair: -pair[1])
         shares = [f"{channel_symbol(name)} {100 * share:.0f} %" for name, share in order if share >= _TELLS]
-        # Where many channels inform a little each, the first one is named without its share.
+        # The first of many channels that inform a little each is named without its share.
         first = [channel_symbol(name) for name, share in order[:1] if share > 0]
         parts.append(f"{row.symbol}: {', '.join(shares or first) or 'nothing'}")
     return f"informed by: {'; '.join(parts)}"

@@ -73,7 +73,7 @@ def study_page(path: Path) -> str:
     return _page("Design study", words, explored, table, figures, simulate, path)
 
 
-# What `sysid report` makes of an HDF5 file, by its schema.
+# Page that `sysid report` makes of an HDF5 file, by the file's schema.
 PAGES: dict[str, Callable[[Path], str]] = {MAPS.schema: map_page, STUDY.schema: study_page}
 
 
