@@ -7,7 +7,7 @@ resting place proves nothing. The spread over starts drawn from their uncertaint
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TypedDict, Unpack
 
 import numpy as np
 from scipy import signal
@@ -15,7 +15,7 @@ from scipy import signal
 from sysid.campaign import GearCampaign
 from sysid.filters import bridge_gaps, runs
 from sysid.gear.drops import PreparedDrop
-from sysid.gear.model import PARAMETERS, Drops, Ending, find_surface, simulate_population
+from sysid.gear.model import PARAMETERS, Drops, Ending, Simulation, find_surface, simulate_population
 from sysid.gear.starts import start_roots
 from sysid.journal import notice
 from sysid.types import FloatArray
@@ -33,14 +33,31 @@ _SURE, _FAR = 4.0, 3e-3
 FlightPhase = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
+class Spread(TypedDict):
+    """A measured number beside the mean and deviation of simulated ones."""
+
+    measured: float
+    mean: float
+    sigma: float
+
+
+class Stop(TypedDict):
+    """Place [m, down-slope] and time [s] of a drop's end since its first touchdown."""
+
+    place: Spread
+    time: Spread
+    # Whether the measured body came to rest, and which share of the simulated ones did [1].
+    measured_stops: bool
+    share_stops: float
+
+
 def stopping(
-    drop: PreparedDrop, rows: FloatArray, board_length: float | None, **simulation: Any
-) -> dict[str, Any]:
+    drop: PreparedDrop, rows: FloatArray, board_length: float | None, **simulation: Unpack[Simulation]
+) -> Stop:
     """Return place [m, down-slope] and time [s] of the end of a drop since its first touchdown.
 
     The end is the beginning of rest (`Ending`), else the end of the log, or where the body leaves the board.
-    `rows` (S, n_table) are the sets [SI]; `board_length` counts down-slope from the touchdown [m];
-    `simulation` gives law, tolerance and threads of `simulate_population`.
+    `rows` (S, n_table) are the sets [SI]; `board_length` counts down-slope from the touchdown [m].
     """
     motion, tangent = drop.motion, drop.feet.tangent
     touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent)
@@ -76,7 +93,7 @@ def stopping(
     }
 
 
-def _three(measured: float, simulated: FloatArray) -> dict[str, float]:
+def _three(measured: float, simulated: FloatArray) -> Spread:
     mean, sigma = (simulated.mean(), simulated.std()) if len(simulated) else (np.nan, np.nan)
     return {"measured": float(measured), "mean": float(mean), "sigma": float(sigma)}
 

@@ -40,7 +40,7 @@ _DERIVED = tuple(
 # Further drops that a lab can make.
 SLOPES_DEG = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 SPEEDS = (0.4, 0.6, 0.8, 1.0)
-# Where the rear foot lands, up-slope of the surface's point [m].
+# Distance of the rear foot's landing up-slope of the surface's point [m].
 _FOOT_FROM_POINT = 0.3
 
 
@@ -107,7 +107,7 @@ def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
         _DERIVED,
         stated=dict.fromkeys({*stated, *campaign.parameters.fixed}, "campaign"),
     )
-    # What else a simulator must know.
+    # Further facts that a simulator must know.
     settings = {
         "surface": campaign.surface.law,
         "frame": (

@@ -48,7 +48,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -434,6 +434,14 @@ def _log(marks: FloatArray) -> tuple[FloatArray, tuple[Event, ...]]:
         Event(float(t), EventKind(int(k)), names[int(f)]) for t, k, f in zip(time, kind, foot, strict=True)
     )
     return switches, tuple(events)
+
+
+class Simulation(TypedDict):
+    """Law, tolerance and threads of `simulate_population`, as a problem states them."""
+
+    surface: str
+    tolerance: float | None
+    threads: int | None
 
 
 def simulate_population(

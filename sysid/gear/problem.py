@@ -24,6 +24,7 @@ from sysid.gear.model import (
     SURFACES,
     Drops,
     PopulationSamples,
+    Simulation,
     find_surface,
     parameters_on,
     prepare,
@@ -239,7 +240,7 @@ class GearProblem(Problem):
         return samples, result
 
     @property
-    def simulation(self) -> dict[str, Any]:
+    def simulation(self) -> Simulation:
         law = self.campaign.surface.law
         return {"surface": law, "tolerance": self.tolerance, "threads": self.threads}
 

@@ -10,10 +10,9 @@ import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sysid.campaign import MotorCampaign
 from sysid.fit.problem import Problem, tell_of_kernel
@@ -36,7 +35,7 @@ FIT_TOLERANCE = 1e-5
 # Simulated samples of a search that are in memory at once, per thread [bytes]: the allocator keeps blocks of
 # this size; for larger ones it asks the system for fresh pages every time, which costs more than simulating.
 _MEMORY = 4e6
-# How long a step is followed, several times a motor's time constant [s].
+# Time for which a step is followed, several times a motor's time constant [s].
 _FOLLOWS = 0.3
 # Parts of all trials together that a ladder leaves out, about.
 _PIECES = 12
@@ -271,7 +270,7 @@ class MotorProblem(Problem):
             changes.append(self._change([index[name] for name in names], width / np.sqrt(12.0)))
         return np.array(changes).reshape(len(changes), len(index))
 
-    def _change(self, columns: list[int], size: Any) -> FloatArray:
+    def _change(self, columns: list[int], size: ArrayLike) -> FloatArray:
         change = np.zeros(len(self.space.table))
         change[columns] = size
         return change

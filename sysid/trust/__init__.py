@@ -1,6 +1,6 @@
 """How far a fit can be trusted: before it, after it, and on trials that it has not seen.
 
 Knows no model: a `sysid.fit.problem.Problem` turns points of the unit cube into residuals. From these follow
-derivatives (`jacobian`), what noise leaves open (`linearized`), profiles of the cost (`profiles`), fits of
+derivatives (`problem`), what noise leaves open (`linearized`), profiles of the cost (`profiles`), fits of
 resampled trials (`assessment`), verdicts, and what to record next (`sensitivity`).
 """

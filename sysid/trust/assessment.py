@@ -3,20 +3,43 @@
 The bootstrap draws whole trials with replacement, because samples of one trial are not independent. With few
 trials some resamples consist of two or three different ones, so it tends to be wider than the profile. It
 also sees what the model does not describe, if that differs from trial to trial.
+
+Where the model is wrong, what is left is not noise, and more samples do not average it away.
+The sandwich covariance of `sysid.trust.linearized` takes the residuals of two trials as independent. What a
+model lacks pushes every channel of every trial, and often the same way. Where noise does not explain the
+trials, a parameter's deviation is therefore the largest of
+
+* the sum, not the root of the sum of squares, of what the residuals of each channel of each trial, as long as
+  they last, may move it by;
+* the jackknife over trials (Efron & Stein 1981), which sees how trials disagree;
+* what leaving any single trial out moves it by;
+
+times Student's t of as many trials over the normal quantile. Bias that all trials share and that looks like a
+change of the parameter stays unseen by any of these. The interval therefore reaches to where the parameter
+goes when all terms that its kind declares are fitted as well, with what stays open there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import t as student
 
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, undisturbed
 from sysid.fit.problem import Problem
 from sysid.journal import Say
+from sysid.parameters import SearchSpace
 from sysid.trust.least_squares import Solved, solve
-from sysid.trust.linearized import Linearized, linearized, noise_model
-from sysid.trust.misfit import not_narrower, widened
+from sysid.trust.linearized import (
+    NORMAL_95,
+    Linearized,
+    gradient_noise,
+    half_widths,
+    linearized,
+    noise_model,
+)
 from sysid.trust.problem import nrmse_of, scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
 from sysid.trust.terms import placed, searched
@@ -25,10 +48,12 @@ from sysid.types import FloatArray, IntArray
 
 # Rounds of fitting and weighting; the weights follow the NRMSE, which hardly moves.
 _ROUNDS = 3
-# Of a refit.
+# Steps of a refit; one that has not come to an end then goes on once.
 _ITERATIONS = 8
-# Of fewer trials none is left out: two that differ do not tell which is odd.
+# Least number of trials of which one is left out: two that differ do not tell which is odd.
 FEWEST = 3
+# Degrees of freedom, at least: steps inside one log repeat as trials do.
+_LEAST_FREEDOM = 2
 
 
 def linearize(problem: Problem, start: FloatArray) -> Linearized:
@@ -56,7 +81,7 @@ def _linearized(problem: Problem, point: FloatArray) -> Linearized:
     changes = problem.disturbances(point)
     noise = noise_model(blocks, undisturbed(blocks, residuals, changes))
     linear = linearized(problem, point, levels, scale, max(sample, 1e-12), noise, changes)
-    # Where a derivative depends on the step, its inflation is worth nothing; the largest one replaces it.
+    # The inflation of a derivative that depends on the step is worth nothing; the largest one replaces it.
     rise = linear.information.inflation
     rise = np.where(linear.jacobian.trusted, rise, rise.max())
     return replace(linear, information=replace(linear.information, inflation=rise))
@@ -204,3 +229,67 @@ def _adequacy(problem: Problem, point: FloatArray) -> Adequacy:
     space = problem.space
     sides = dict(zip(space.names, space.at_bound(point[None])[0].tolist(), strict=True))
     return adequacy(problem, space.full(point[None])[0], sides)
+
+
+def widened(problem: Problem, linear: Linearized, without: FloatArray) -> Linearized:
+    """Return what misfit leaves open; `without` (T, n) are the fits without each trial, or (0, n)."""
+    factor = np.maximum(misfit_factor(problem, linear, without), 1.0)
+    known = linear.information
+    # Beyond the range of the bounds there is nothing to be uncertain about.
+    largest = 1.0 / (np.sqrt(12.0) * np.maximum(known.sigma, 1e-12))
+    spread = np.minimum(factor, np.maximum(largest, 1.0))
+    information = replace(
+        known,
+        inflation=known.inflation * factor**2,
+        covariance=known.covariance * np.outer(spread, spread),
+    )
+    widths = half_widths(problem.space, linear.point, information.sigma)
+    return replace(linear, information=information, half_widths=widths)
+
+
+def not_narrower(profiles: Profiles, space: SearchSpace, others: Sequence[Linearized]) -> Profiles:
+    """Return profiles whose intervals contain linearized ones, of these parameters and perhaps further ones.
+
+    The cost of a wrong model is rough and rises in steps, so that a profile may end before the misfit does.
+    """
+    out, n = [], len(profiles.profiles)
+    for i, profile in enumerate(profiles.profiles):
+        ends, opens = [], []
+        for reach, was, opened in (
+            (1.0, profile.interval_68, profile.open_68),
+            (NORMAL_95, profile.interval_95, profile.open_95),
+        ):
+            ways = [at.point[i] + side * at.information.sigma[i] for at in others for side in (-reach, reach)]
+            cube = np.repeat(others[0].point[None, :n], 2, axis=0)
+            cube[:, i] = np.clip([min(ways), max(ways)], 0.0, 1.0)
+            low, high = space.decode(cube)[:, i].tolist()
+            ends.append((min(was[0], low), max(was[1], high)))
+            opens.append((opened[0] or bool(cube[0, i] <= 0), opened[1] or bool(cube[1, i] >= 1)))
+        out.append(
+            replace(profile, interval_68=ends[0], interval_95=ends[1], open_68=opens[0], open_95=opens[1])
+        )
+    return replace(profiles, profiles=tuple(out))
+
+
+def misfit_factor(problem: Problem, linear: Linearized, without: FloatArray) -> FloatArray:
+    """Return by what the deviation of every parameter (n,) grows where noise does not explain the trials."""
+    count, known = len(problem.trials), linear.information
+    inverse = np.linalg.pinv(known.curvature, rcond=1e-12, hermitian=True)
+    moves = np.zeros(len(linear.point))
+    changes, nothing = problem.disturbances(linear.point), np.zeros((0, len(linear.scale)))
+    for block, level in zip(problem.blocks, linear.levels, strict=True):
+        spread = gradient_noise(
+            [block], linear.jacobian.values, linear.scale, [level], linear.noise, nothing
+        )  # fmt: skip
+        moves += np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0))
+    pushed = inverse @ linear.jacobian.values.T @ (changes * linear.scale).T
+    moves = np.hypot(moves, np.sqrt(np.sum(pushed**2, axis=1)))
+    sandwich = np.sqrt(np.diag(inverse @ known.gradient_noise @ inverse))
+    quantile = float(student.ppf(0.975, max(count - 1, _LEAST_FREEDOM))) / NORMAL_95
+    together = quantile * moves / np.maximum(sandwich, 1e-300)
+    if not len(without) or not np.isfinite(without).all():
+        return np.asarray(together)
+    scatter = np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
+    farthest = np.max(np.abs(without - linear.point), axis=0) / NORMAL_95
+    sigma = np.maximum(known.sigma, 1e-12)
+    return np.maximum(together, np.maximum(quantile * scatter, farthest) / sigma)

@@ -125,7 +125,7 @@ class TrialInfluence(Part):
     ratio: float
     # Parameters of the fit without the trial [SI].
     without: dict[str, float]
-    # How far they move, in standard deviations of what one trial less explains [1].
+    # Moves of the parameters, in standard deviations of what one trial less explains [1].
     shift: dict[str, float]
 
 
@@ -160,7 +160,7 @@ class JudgedTrial(Part):
     # The same two up to the prediction's third touchdown [1].
     nrmse_third_contact: float | None
     ratio_third_contact: float | None
-    # That touchdown after the first one [s].
+    # Time from the first touchdown to the third [s].
     third_contact: float | None
     leaves: Leaves | None
 

@@ -5,7 +5,7 @@ found from above: all are fitted together, and the least certain one is taken aw
 left is needed. A term is needed where
 
 * its value differs from none by more than chance: a Wald test with the covariance of
-  `sysid.trust.linearized`, with misfit as in `sysid.trust.misfit`, times the number of terms looked at
+  `sysid.trust.linearized`, with misfit as in `sysid.trust.assessment`, times the number of terms looked at
   (Bonferroni), and
 * with the least certain one, too, the trials left out are predicted better on average.
 

@@ -26,7 +26,7 @@ from sysid.fit.problem import Problem
 from sysid.fit.trial import Block, NoiseModel
 from sysid.parameters import SearchSpace
 from sysid.trust.documents import Partner
-from sysid.trust.jacobian import Jacobian, jacobian
+from sysid.trust.problem import Jacobian, jacobian
 from sysid.types import FloatArray
 
 # Standard normal beyond which 5 % lie, on both sides together.

@@ -11,20 +11,33 @@ of the best point kept constant has its minimum where C has. That sum is Gaussia
 per block, each block weighted by w_k s_k/n_k: it is *not* minus twice a log-likelihood, because blocks are
 weighted unlike independent data, neighbouring samples are correlated and rates are derived from positions.
 `sysid.trust.linearized` corrects for all three.
+
+Derivatives are central differences whose step is checked by halving it. Contact makes the cost rough: a foot
+that touches a sample earlier, or slips where it stuck, makes residuals jump. A derivative that changes with
+the step describes the step, not the model; such parameters are named.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 
+from sysid.errors import FitError
 from sysid.fit.least_squares import LEAST_NRMSE
 from sysid.fit.problem import Problem
 from sysid.fit.trial import Block
 from sysid.parallel import Executor
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
+
+# Steps of the unit cube: the first one, the least, the largest.
+_FIRST, _LEAST, _LARGEST = 2e-3, 5e-4, 0.05
+# A step is this multiple of the parameter's standard deviation when all others are known.
+_SHARE = 2.0
+# A derivative whose two steps differ by more than this share of it is not trustworthy [1].
+TRUSTED = 0.1
 
 
 def spread_over(problem: Problem, executor: Executor) -> Problem:
@@ -58,4 +71,67 @@ def trial_rows(blocks: Sequence[Block], weights: FloatArray, size: int) -> Float
     out = np.zeros((*weights.shape[:-1], size))
     for block in blocks:
         out[..., block.start : block.stop] = weights[..., block.trial, None]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Jacobian:
+    """Derivatives of weighted residuals at one point.
+
+    `values` (m, n) are extrapolated to step 0 (Richardson) where both steps agree [1/unit cube]. `steps` (n,)
+    are the larger ones [unit cube]. `doubt` (n,) is the change of the derivative when the step is halved [1].
+    """
+
+    values: FloatArray
+    steps: FloatArray
+    doubt: FloatArray
+
+    @property
+    def trusted(self) -> BoolArray:
+        """(n,) True where halving the step changes the derivative by less than a tenth."""
+        return np.asarray(self.doubt < TRUSTED, dtype=np.bool_)
+
+
+def jacobian(problem: Problem, point: FloatArray, scale: FloatArray, noise: float = 1.0) -> Jacobian:
+    """Return the derivatives at a point (n,) of the unit cube, ``J = (4 J(h/2) - J(h))/3``.
+
+    `scale` (m,) weights the residuals, see `scales`. The steps follow from `noise`, the
+    standard deviation of a weighted residual [1]: smaller differences are lost in the integration's error.
+    """
+    first = _differences(problem, point, scale, np.full(len(point), _FIRST))
+    steps = np.clip(_SHARE * noise / np.maximum(np.linalg.norm(first, axis=0), 1e-30), _LEAST, _LARGEST)
+    coarse = _differences(problem, point, scale, steps)
+    fine = _differences(problem, point, scale, steps / 2)
+    # The error of a central difference goes with h²: halving the step takes three quarters of it away.
+    doubt = np.linalg.norm(fine - coarse, axis=0) / np.maximum(np.linalg.norm(fine, axis=0), 1e-30)
+    return Jacobian(np.where(doubt < 3 * TRUSTED, (4 * fine - coarse) / 3, fine), steps, doubt)
+
+
+def _differences(problem: Problem, point: FloatArray, scale: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return central differences (m, n) of the weighted residuals; one-sided at the cube's faces."""
+    n = len(point)
+    points = np.tile(point, (2 * n + 1, 1))
+    points[1 : n + 1][np.diag_indices(n)] = np.minimum(point + steps, 1.0)
+    points[n + 1 :][np.diag_indices(n)] = np.maximum(point - steps, 0.0)
+    values, failed = problem.residuals(points)
+    if failed[0]:
+        causes = problem.score(problem.space.full(point[None])).cause[0]
+        lost = [
+            f"{problem.names[t]} ({problem.causes[c - 1].replace('_', ' ')})"
+            for t, c in enumerate(causes)
+            if c
+        ]
+        raise FitError(
+            f"{', '.join(lost)}: cannot be simulated at the values that are judged; check the masses, "
+            "lengths and units that the campaign states"
+        )
+    values = values * scale
+    out = np.zeros((values.shape[1], n))
+    for i in range(n):
+        high, low = 1 + i, 1 + n + i
+        # The centre replaces a point that cannot be simulated.
+        high, low = (0 if failed[high] else high), (0 if failed[low] else low)
+        width = points[high, i] - points[low, i]
+        if width > 0:
+            out[:, i] = (values[high] - values[low]) / width
     return out

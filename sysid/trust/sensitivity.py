@@ -17,9 +17,8 @@ from sysid.fit.problem import Problem
 from sysid.fit.trial import NoiseModel
 from sysid.parameters import SearchSpace
 from sysid.trust.documents import Expected
-from sysid.trust.jacobian import jacobian
 from sysid.trust.linearized import Linearized, bounded_information, gradient_noise, half_widths, linearized
-from sysid.trust.problem import nrmse_of, scales
+from sysid.trust.problem import jacobian, nrmse_of, scales
 from sysid.trust.verdicts import verdict
 from sysid.types import BoolArray, FloatArray
 

@@ -9,7 +9,7 @@ true model, more by what the parameters' own uncertainty adds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -109,8 +109,20 @@ def reasons(trials: Sequence[JudgedTrial]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float) -> dict[str, Any]:
-    """Return what a validation or cross-validation states of all trials together, for JSON."""
+class Overall(TypedDict):
+    """The numbers of a validation over all its trials."""
+
+    flagged: bool
+    reasons: list[str]
+    limits: dict[str, float]
+    nrmse: float
+    nrmse_fitted: float
+    ratio: float
+    ratio_third_contact: float
+
+
+def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float) -> Overall:
+    """Return what a validation or cross-validation states of all trials together, for its document."""
     why, (whole, early) = reasons(trials), _ratios(trials)
     return {
         "flagged": bool(why),
