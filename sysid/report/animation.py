@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -58,7 +57,7 @@ def steepest(drops: Sequence[DropReplay]) -> int:
     return max(range(len(drops)), key=lambda i: drops[i].slope)
 
 
-def _document(scene: Scene) -> dict[str, Any]:
+def _document(scene: Scene) -> dict[str, object]:
     first = next(iter(scene.replays.values()))
     return {
         "key": scene.key,
@@ -72,7 +71,7 @@ def _document(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _movement(drop: DropReplay) -> dict[str, Any]:
+def _movement(drop: DropReplay) -> dict[str, object]:
     """Return what the script draws, in whole numbers: lengths [0.1 mm], angles [0.1 mrad], forces [N]."""
     # The script draws no ghost that is 9 m away.
     measured = np.where(np.isfinite(drop.measured), drop.measured, 9.0)

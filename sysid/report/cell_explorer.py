@@ -63,14 +63,14 @@ class CellChart:
     doubt: BoolArray | None = None
     share: FloatArray | None = None
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return what the page's script draws: thousandths as whole numbers, cells row by row."""
 
         def whole(values: FloatArray) -> list[list[int | None]]:
             flat = 1e3 * values.reshape(len(values), -1)
             return [[None if not np.isfinite(v) else round(v) for v in row] for row in flat.tolist()]
 
-        def axis(chosen: CellAxis) -> dict[str, Any]:
+        def axis(chosen: CellAxis) -> dict[str, object]:
             places = range(len(chosen.values)) if chosen.even else chosen.values
             edges = cell_edges(np.array(places))
             return {"name": chosen.name, "unit": chosen.unit, "texts": chosen.texts, "edges": edges.tolist()}

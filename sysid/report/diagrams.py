@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, FancyBboxPatch, Polygon
 
 from sysid.gear.surfaces import high_friction
-from sysid.report.drawing import arrow, directions, draw_line, panel
+from sysid.report.drawing import Point, arrow, directions, draw_line, panel
 from sysid.report.drop_replay import DropReplay
 from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
 from sysid.types import FloatArray
@@ -125,7 +125,7 @@ def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
         axes.annotate(words, tuple(what), place, fontsize=8, va="center", ha="left", arrowprops=thin)
 
 
-def _write(axes: Axes, place: Any, words: str, colour: str, **look: Any) -> None:
+def _write(axes: Axes, place: Point, words: str, colour: str, **look: Any) -> None:
     """Write words at a place, by default to its left."""
     chosen: dict[str, Any] = {"fontsize": 9, "ha": "right", "va": "center"} | look
     axes.text(float(place[0]), float(place[1]), words, color=colour, **chosen)

@@ -67,6 +67,8 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 # A line of a legend: a colour, how it is drawn (a key of `LOOKS`, or ``area``), words.
 Entry = tuple[str, str, str]
+# A place (x, z) in the units of the axes.
+Point = tuple[float, float] | FloatArray
 
 
 def panel(height: float, width: float = WIDTH, *, grid: bool = True, **rows: Any) -> tuple[Figure, Any]:
@@ -107,17 +109,17 @@ def directions(angle: float | FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)
 
 
-def draw_line(axes: Axes, points: Any, colour: str, width: float, **look: Any) -> None:
+def draw_line(axes: Axes, points: Sequence[Point], colour: str, width: float, **look: Any) -> None:
     """Draw a line from point to point."""
     axes.plot(*np.array(points).T, color=colour, linewidth=width, **look)
 
 
 def arrow(
-    axes: Axes, start: Any, end: Any, colour: str, width: float = 2.0, *, zorder: int = 6, **look: Any
+    axes: Axes, start: Point, end: Point, colour: str, width: float = 2.0, *, zorder: int = 6, **look: Any
 ) -> None:
     """Draw an arrow from point to point."""
     chosen = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0} | look
-    axes.annotate("", end, start, zorder=zorder, arrowprops=chosen)
+    axes.annotate("", (end[0], end[1]), (start[0], start[1]), zorder=zorder, arrowprops=chosen)
 
 
 def paper(pad: float, **look: Any) -> dict[str, Any]:

@@ -11,10 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sysid.fit.result import FitResult, TrialResult
-from sysid.report.drawing import (
-    RUNS,
-    panels,
-)
+from sysid.report.drawing import RUNS, panels
 from sysid.report.plots import Colour, Curve, Panel, View
 from sysid.trials.reversal import LEVEL, Repetitions
 from sysid.types import BoolArray, FloatArray
@@ -23,8 +20,6 @@ from sysid.types import BoolArray, FloatArray
 _BEFORE, _BEYOND = 0.1, 0.2
 # Time that is drawn after a command of a fit's trial, and its least where the trial ends earlier [s].
 _AFTER, _LEAST = 0.5, 0.3
-
-
 Points = Mapping[str, tuple[FloatArray, FloatArray]]
 # Unit of each static curve, and factor from SI.
 _UNITS = {"thrust": ("N", 1.0), "torque": ("mN·m", 1e3), "no_load": ("rad/s", 1.0)}

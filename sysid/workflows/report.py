@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -15,6 +14,7 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import ExportError, FitError, SysidError
+from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import Journal, Say
@@ -76,7 +76,9 @@ def reopened(report: FitReport) -> Reopened:
     return Reopened(band, noise, held_out, truth, evidence)
 
 
-def _band(report: FitReport, names: Sequence[str], problem: Any) -> dict[str, tuple[FloatArray, FloatArray]]:
+def _band(
+    report: FitReport, names: Sequence[str], problem: Problem
+) -> dict[str, tuple[FloatArray, FloatArray]]:
     if report.trust is None:
         return {}
     arrays, fit = documents.read_arrays(report.folder, documents.TRUST), report.fit
