@@ -317,7 +317,7 @@ def _notice_unresolved_inductance(problem: MotorProblem, row: FloatArray) -> Non
 def _records(
     problem: MotorProblem, unknown: tuple[str, ...], band: SaturationFit | None
 ) -> tuple[ParameterRecord, ...]:
-    """Return the table's records, with the the sources of tie and second stage, then the derived ones."""
+    """Return the table's records, with the sources of tie and second stage, then the derived ones."""
     choices, bench, space = problem.campaign.parameters, problem.bench, problem.space
     tie = "loaded steady points and the fitted R: Ω_0 = Ω + R (τ_aero + k_d Ω)/(k_m k_v)"
     computed = {name: tie for direction in problem.ties for name in no_load_line(direction)}
