@@ -28,12 +28,7 @@ from sysid.landing.drone import drone
 from sysid.landing.simulate import Landing
 from sysid.loaders import load
 from sysid.marks import Flag, field_hints, field_values, mark_of
-from sysid.parameter_sets import (
-    ParameterSets,
-    RankedSet,
-    in_place_of_digits,
-    interval_columns,
-)
+from sysid.parameter_sets import ParameterSets, RankedSet, interval_columns
 from sysid.recording import Recording
 from sysid.report.inspect_figures import figure_logs
 from sysid.shown import Shown
@@ -309,16 +304,14 @@ class Fit(Shown):
         """
         import pandas as pd
 
-        best, judged = self.sets.best, self.result.judged
-        free = [record for record in self.result.parameters if record.status == "free"]
-        lost = [in_place_of_digits(self.result.settings, record.name) is not None for record in free]
-        values = [math.nan if gone else best[record.name] for gone, record in zip(lost, free, strict=True)]
+        free = [row for row in self.result.known.values() if row.record.status == "free"]
         rows = [
-            {"symbol": record.symbol, "value": value, "unit": record.unit}
-            | interval_columns(judged.get(record.name))
-            for record, value in zip(free, values, strict=True)
+            {"symbol": row.record.symbol, "value": math.nan if row.instead else row.values[0]}
+            | {"unit": row.record.unit}
+            | interval_columns(row.judged)
+            for row in free
         ]
-        return pd.DataFrame(rows, index=pd.Index([record.name for record in free], name="parameter"))
+        return pd.DataFrame(rows, index=pd.Index([row.record.name for row in free], name="parameter"))
 
     def to_frame(self) -> pd.DataFrame:
         """Return `table`."""

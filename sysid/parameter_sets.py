@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from sysid import exact_json
-from sysid.documents import Document, OpenMapping, Part, interval
+from sysid.documents import Document, OpenMapping, Part, interval, rounded
 from sysid.errors import ExportError
 from sysid.parameters import Parameter, SearchSpace
 from sysid.shown import Shown
@@ -130,9 +130,51 @@ class Judged(Part):
         words = self.verdict.replace("_", " ")
         return words if self.lost else f"{words} identifiable"
 
+    @property
+    def in_place_of_digits(self) -> str | None:
+        """What a table prints instead of a number that the data do not determine; None where they do."""
+        if not self.lost:
+            return None
+        (low, high), (below, above) = self.interval_95, self.open_95
+        if self.verdict == "not_interpretable":
+            return self.words
+        if below and above:
+            return "not identifiable"
+        return f"≤ {high:.2g}" if below else f"≥ {low:.2g}" if above else f"{low:.2g} to {high:.2g}"
+
     def contains(self, value: float) -> bool:
         """Return whether a value lies in the interval."""
         return self.low <= value <= self.high
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of one parameter of ranked sets: a row of every table of parameters [its unit].
+
+    Parameters
+    ----------
+    found : bool
+        The search found it, by itself or as a combination of others.
+    values, at_bound : (S,) arrays
+        As in `SetsContent`.
+    judged : Judged or None
+        Interval and verdict, where the fit was assessed.
+    instead : str or None
+        What a table prints in place of digits that the data do not determine.
+    """
+
+    record: ParameterRecord
+    found: bool
+    values: FloatArray
+    at_bound: NDArray[np.int8]
+    mean: float
+    sigma: float
+    judged: Judged | None
+    instead: str | None
+
+    def text(self, s: int = 0, digits: int = 4) -> str:
+        """Return the value of one set, with * where it ends at a bound, or what stands in its place."""
+        return self.instead or rounded(self.values[s], digits) + ("*" if self.at_bound[s] else "")
 
 
 class TrialUse(Part):
@@ -232,25 +274,6 @@ def interval_columns(row: Judged | None) -> dict[str, Any]:
     return {"interval_low": row.low, "interval_high": row.high, "verdict": row.verdict}
 
 
-def in_place_of_digits(settings: Mapping[str, Any], name: str) -> str | None:
-    """Return what a table prints instead of a number that the data do not determine; None where they do.
-
-    The interval replaces a parameter that is not identifiable. A parameter that rests on a guessed scale has
-    no digits but the guess's.
-    """
-    if name in settings.get(NOT_ALONE, ()):
-        return "not identifiable"
-    known = settings.get(INTERVALS, {}).get(name)
-    if not known or not known["verdict"].startswith("not_"):
-        return None
-    if known["verdict"] == "not_interpretable":
-        return "not interpretable"
-    (low, high), (below, above) = known["interval_95"], known["open_95"]
-    if below and above:
-        return "not identifiable"
-    return f"≤ {high:.2g}" if below else f"≥ {low:.2g}" if above else f"{low:.2g} to {high:.2g}"
-
-
 def parameter_records(
     space: SearchSpace,
     measured: Mapping[str, str] | None = None,
@@ -338,6 +361,57 @@ class SetsContent:
         keys = Judged.model_fields
         rows = self.settings.get(INTERVALS, {}).items()
         return {name: Judged(**{key: row[key] for key in keys if key in row}) for name, row in rows}
+
+    @property
+    def counted(self) -> BoolArray:
+        """(S,) which sets enter mean and sigma: where a fit was cut short, those near the best NRMSE."""
+        limit = NEAR_BEST * self.nrmse[:1] if "cut_short" in self.provenance else np.inf
+        return ~(self.nrmse > limit)
+
+    @property
+    def mean(self) -> FloatArray:
+        """(n,) mean over the `counted` sets [unit of each]."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            return self.values[self.counted].mean(axis=0)
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(n,) standard deviation over the `counted` sets, divided by their number - 1 [unit of each].
+
+        With a single set: what the source states, or NaN.
+        """
+        values = self.values[self.counted]
+        if len(values) > 1:
+            # An infinite value that all sets share (no saturation) has no spread.
+            with np.errstate(invalid="ignore", over="ignore"):
+                spread = values.std(axis=0, ddof=1)
+            return np.where(np.all(values == values[:1], axis=0), 0.0, spread)
+        stated = [r.stated_sigma for r in self.parameters]
+        return np.array([np.nan if value is None else value for value in stated], dtype=np.float64)
+
+    @property
+    def known(self) -> dict[str, Known]:
+        """What is known of every parameter, by name, in column order."""
+        judged, alone = self.judged, self.settings.get(NOT_ALONE, ())
+        together = self.settings.get(COMBINATIONS, ())
+        unknown = np.full(len(self.parameters), np.nan)
+        means, sigmas = (self.mean, self.sigma) if len(self.nrmse) else (unknown, unknown)
+        out = {}
+        for i, record in enumerate(self.parameters):
+            row = judged.get(record.name)
+            # A parameter that rests on a guessed scale has no digits but the guess's.
+            instead = "not identifiable" if record.name in alone else row.in_place_of_digits if row else None
+            out[record.name] = Known(
+                record=record,
+                found=record.status == "free" or record.name in together,
+                values=self.values[:, i],
+                at_bound=self.at_bound[:, i],
+                mean=float(means[i]),
+                sigma=float(sigmas[i]),
+                judged=row,
+                instead=instead,
+            )
+        return out
 
     def content(self) -> dict[str, Any]:
         """Return these fields by name."""
@@ -478,15 +552,14 @@ class ParameterSets(SetsContent, Shown):
         """
         import pandas as pd
 
-        judged = self.judged
+        known = self.known
+        assessed = any(row.judged for row in known.values())
         rows = [
-            {key: getattr(record, key) for key in ("symbol", "unit", "status")}
-            | {f"set {rank}": value for rank, value in enumerate(column, start=1)}
-            | {"mean": mean, "sigma": sigma}
-            | (interval_columns(judged.get(record.name)) if judged else {})
-            for record, column, mean, sigma in zip(
-                self.parameters, self.values.T.tolist(), self.mean, self.sigma, strict=True
-            )
+            {"symbol": row.record.symbol, "unit": row.record.unit, "status": row.record.status}
+            | {f"set {rank}": value for rank, value in enumerate(row.values.tolist(), start=1)}
+            | {"mean": row.mean, "sigma": row.sigma}
+            | (interval_columns(row.judged) if assessed else {})
+            for row in known.values()
         ]
         return pd.DataFrame(rows, index=pd.Index(self.names, name="parameter"))
 
@@ -499,33 +572,6 @@ class ParameterSets(SetsContent, Shown):
         if not 1 <= rank <= len(self):
             raise ExportError(f"{self.name}: no set of rank {rank}; there are {len(self)}, the best is 1")
         return RankedSet(self, rank)
-
-    @property
-    def counted(self) -> BoolArray:
-        """(S,) which sets enter mean and sigma: where a fit was cut short, those near the best NRMSE."""
-        limit = NEAR_BEST * self.nrmse[0] if "cut_short" in self.provenance else np.inf
-        return ~(self.nrmse > limit)
-
-    @property
-    def mean(self) -> FloatArray:
-        """(n,) mean over the `counted` sets [unit of each]."""
-        with np.errstate(invalid="ignore", over="ignore"):
-            return self.values[self.counted].mean(axis=0)
-
-    @property
-    def sigma(self) -> FloatArray:
-        """(n,) standard deviation over the `counted` sets, divided by their number - 1 [unit of each].
-
-        With a single set: what the source states, or NaN.
-        """
-        values = self.values[self.counted]
-        if len(values) > 1:
-            # An infinite value that all sets share (no saturation) has no spread.
-            with np.errstate(invalid="ignore", over="ignore"):
-                spread = values.std(axis=0, ddof=1)
-            return np.where(np.all(values == values[:1], axis=0), 0.0, spread)
-        stated = [r.stated_sigma for r in self.parameters]
-        return np.array([np.nan if value is None else value for value in stated], dtype=np.float64)
 
     def _head(self) -> dict[str, Any]:
         channels = zip(self.channels, self.channel_units, self.channel_weights, strict=True)

@@ -35,8 +35,8 @@ def _records(sets: ParameterSets) -> dict[str, NDArray[Any]]:
     }
     # None becomes NaN.
     numbers = {key: np.array([getattr(r, key) for r in sets.parameters], np.float64) for key in _NUMBERS}
-    if judged := sets.judged:
-        rows = [interval_columns(judged.get(name)) for name in sets.names]
+    if sets.judged:
+        rows = [interval_columns(row.judged) for row in sets.known.values()]
         texts["verdict"] = np.array([row.pop("verdict") for row in rows], dtype=object)
         numbers |= {key: np.array([row[key] for row in rows], np.float64) for key in rows[0]}
     return texts | numbers

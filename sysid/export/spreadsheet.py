@@ -37,24 +37,22 @@ def to_csv(sets: ParameterSets) -> bytes:
         *_FIXED, *(f"set_{s + 1}" for s in range(n_sets)), *(f"at_bound_{s + 1}" for s in range(n_sets)),
         *_INTERVAL, "measured_low", "measured_high", "stated_sigma", "meaning", "source", "group", "trial",
     ]  # fmt: skip
-    metadata, mean, sigma = sets.metadata().model_dump(), sets.mean, sets.sigma
-    records = metadata.pop("parameters")
+    metadata = sets.metadata().model_dump(exclude={"parameters"})
     rows: list[dict[str, Any]] = [
         {"row": "about", "name": key, "meaning": exact_json.dumps(value, indent=None)}
         for key, value in metadata.items()
     ]
-    judged = sets.judged
-    for i, record in enumerate(records):
-        row = {"row": "parameter", **{key: record[key] for key in _RECORD}}
-        row |= {"mean": float(mean[i]), "sigma": float(sigma[i])}
-        if record["measured_range"] is not None:
-            row["measured_low"], row["measured_high"] = record["measured_range"]
-        if known := judged.get(record["name"]):
+    for known in sets.known.values():
+        row: dict[str, Any] = {key: getattr(known.record, key) for key in _RECORD}
+        row |= {"row": "parameter", "mean": known.mean, "sigma": known.sigma}
+        if known.record.measured_range is not None:
+            row["measured_low"], row["measured_high"] = known.record.measured_range
+        if known.judged:
             # The cell of an open end is empty: a bound of the search is no end.
-            cells = interval_columns(known).items()
+            cells = interval_columns(known.judged).items()
             row |= {key: None if cell in (-math.inf, math.inf) else cell for key, cell in cells}
-        row |= {f"at_bound_{s + 1}": int(flag) for s, flag in enumerate(sets.at_bound[:, i])}
-        rows.append(row | _by_set(sets.values[:, i]))
+        row |= {f"at_bound_{s + 1}": int(flag) for s, flag in enumerate(known.at_bound)}
+        rows.append(row | _by_set(known.values))
     rows.append({"row": "nrmse_mean", "unit": "1"} | _by_set(sets.nrmse))
     for t, trial in enumerate(sets.trials):
         for c, channel in enumerate(sets.channels):

@@ -10,7 +10,6 @@ from sysid.documents import channel_symbol, label
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.optima import waterfall
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import in_place_of_digits
 
 
 def run_record(result: FitResult) -> dict[str, Any]:
@@ -92,32 +91,28 @@ def summary(result: FitResult) -> str:
         "",
         f"{'rank':>4}  {'run':>3}  {'seed':>10}  {'fitted':>8}  {'validated':>9}",
     ]
-    fitted, validated, judged = result.nrmse, result.mean_nrmse("validate"), result.judged
+    fitted, validated = result.nrmse, result.mean_nrmse("validate")
     for s in range(len(fitted)):
         other = "-" if np.isnan(validated[s]) else f"{100 * validated[s]:.2f} %"
         fit = f"{100 * fitted[s]:.2f} %"
         lines.append(f"{s + 1:>4}  {result.set_runs[s]:>3}  {result.set_seeds[s]:>10}  {fit:>8}  {other:>9}")
     lines += ["", "sets, best first (SI; * ends at a bound)", ""]
-    for i, record in enumerate(result.parameters):
-        if record.status in ("free", "derived"):
-            instead = in_place_of_digits(result.settings, record.name)
+    unsearched = []
+    for name, row in result.known.items():
+        status, head = row.record.status, f"{row.record.symbol} [{row.record.unit}]"
+        if status in ("measured", "fixed"):
+            value = row.values[0] if len(fitted) else np.nan
+            unsearched.append(f"{head:<22}{value:>16.5g}   {name} ({status})")
+        elif status in ("free", "derived"):
             cells = "".join(
-                f"{result.values[s, i]:>16.5g}{'*' if result.at_bound[s, i] else ' '}"
-                if instead is None
-                else f"{instead:>16} "
-                for s in range(len(fitted))
+                f"{value:>16.5g}{'*' if bound else ' '}" if row.instead is None else f"{row.instead:>16} "
+                for value, bound in zip(row.values, row.at_bound, strict=True)
             )
-            head = f"{record.symbol} [{record.unit}]"
-            derived = " (derived)" if record.status == "derived" else ""
-            known = judged.get(record.name)
-            worth = f": 95 % {known.interval}, {known.verdict.replace('_', ' ')}" if known else ""
-            lines.append(f"{head:<22}{cells}  {record.name}{derived}{worth}")
-    lines += ["", "not searched (SI)", ""]
-    for i, record in enumerate(result.parameters):
-        if record.status in ("measured", "fixed"):
-            value = result.values[0, i] if len(fitted) else np.nan
-            head = f"{record.symbol} [{record.unit}]"
-            lines.append(f"{head:<22}{value:>16.5g}   {record.name} ({record.status})")
+            worth = (
+                f": 95 % {row.judged.interval}, {row.judged.verdict.replace('_', ' ')}" if row.judged else ""
+            )
+            lines.append(f"{head:<22}{cells}  {name}{' (derived)' if status == 'derived' else ''}{worth}")
+    lines += ["", "not searched (SI)", "", *unsearched]
     lines += ["", "NRMSE of the best set by trial and channel [%]", ""]
     width = max([len(trial.name) for trial in result.trials], default=0)
     lines.append(

@@ -12,7 +12,7 @@ import numpy as np
 from sysid.documents import rounded
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, ROUGHLY_BY
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import Judged, in_place_of_digits
+from sysid.parameter_sets import Judged, Known
 from sysid.parameters import common_name
 from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
 from sysid.report.table import NONE, Cell, Table, Tone, numbers, table, words
@@ -153,54 +153,48 @@ def next_step(fit: FitResult, trust: TrustDocument | None, predicted: bool, fold
 
 def parameter_table(fit: FitResult, trust: TrustDocument | None, truth: Mapping[str, float]) -> Table:
     """Return the one table of free parameters: value, 95 % interval, verdict, partners, measured, truth."""
-    known, found = fit.judged, trust.by_name if trust else {}
-    free = [i for i, record in enumerate(fit.parameters) if record.status == "free"]
+    assessed = trust.by_name if trust else {}
+    rows = [row for row in fit.known.values() if row.record.status == "free"]
     symbols = {record.name: record.symbol for record in fit.parameters if record.symbol}
-    measured = {i: ends_of(fit.parameters[i].measured_range) for i in free}
 
-    def row_of(i: int) -> Judged | None:
-        name = fit.parameters[i].name
-        return found.get(name) or known.get(name)
+    def judged(row: Known) -> Judged | None:
+        return assessed.get(row.record.name) or row.judged
 
-    def value(i: int) -> str:
-        text = in_place_of_digits(fit.settings, fit.parameters[i].name)
-        return text or rounded(fit.values[0, i]) + ("*" if fit.at_bound[0, i] else "")
+    def interval(row: Known) -> str:
+        found = judged(row)
+        return found.interval if found else NONE
 
-    def span(i: int) -> str:
-        row = row_of(i)
-        return row.interval if row else NONE
+    def verdict(row: Known) -> str | Cell:
+        found = judged(row)
+        return judged_cell(found) if found else NONE
 
-    def judged(i: int) -> Cell:
-        row = row_of(i)
-        return judged_cell(row) if row else Cell(NONE)
+    def partners(row: Known) -> str:
+        found = assessed.get(row.record.name)
+        return partners_of(found.partners, symbols) if found else NONE
 
-    def partners(i: int) -> str:
-        row = found.get(fit.parameters[i].name)
-        return partners_of(row.partners, symbols) if row else NONE
+    def true(row: Known) -> str | Cell:
+        value, found = truth.get(row.record.name), judged(row)
+        if value is None:
+            return NONE
+        inside = found is None or found.contains(value)
+        return rounded(value) if inside else Cell(f"{rounded(value)} outside", "doubtful")
 
-    def true(i: int) -> Cell:
-        name, row = fit.parameters[i].name, row_of(i)
-        if name not in truth:
-            return Cell(NONE)
-        inside = row is None or row.contains(truth[name])
-        return Cell(rounded(truth[name]) + ("" if inside else " outside"), "" if inside else "doubtful")
-
-    marked = "* the best set ends at a bound of the search" if any("*" in value(i) for i in free) else ""
+    ranges = any(row.record.measured_range for row in rows)
     return table(
         "",
-        free,
+        rows,
         (
-            words("symbol", lambda i: fit.parameters[i].symbol or fit.parameters[i].name),
-            words("name", lambda i: common_name(fit.parameters[i]).replace("_", " ")),
-            numbers("value", value),
-            numbers("95 % interval", span),
-            words("unit", lambda i: fit.parameters[i].unit or "1"),
-            words("verdict", judged),
+            words("symbol", lambda row: row.record.symbol or row.record.name),
+            words("name", lambda row: common_name(row.record).replace("_", " ")),
+            numbers("value", Known.text),
+            numbers("95 % interval", interval),
+            words("unit", lambda row: row.record.unit or "1"),
+            words("verdict", verdict),
             words("partners", partners),
-            numbers("measured", lambda i: measured[i]) if set(measured.values()) > {NONE} else None,
+            numbers("measured", lambda row: ends_of(row.record.measured_range)) if ranges else None,
             numbers("truth", true) if truth else None,
         ),
-        marked,
+        "* the best set ends at a bound of the search" if any("*" in row.text() for row in rows) else "",
     )
 
 

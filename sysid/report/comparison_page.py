@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from sysid.documents import channel_symbol, rounded
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import ParameterSets, in_place_of_digits
+from sysid.parameter_sets import ParameterSets
 from sysid.report.answer import answer_box
 from sysid.report.drawing import RUNS, as_math, display_of, panel, percent_text
 from sysid.report.html import (
@@ -111,27 +110,21 @@ def _answer(document: Comparison, names: Sequence[str]) -> Html:
 
 def _parameter_table(document: Comparison, fits: Sequence[ComparedFit]) -> Table:
     """Return value, interval and verdict of every fit side by side, and what the intervals do not explain."""
-    known = [fit.trust.by_name if fit.trust else {} for fit in fits]
-    records = {
-        record.name: record
-        for fit in fits
-        for record in fit.sets.parameters
-        if record.status == "free" and not record.trial
-    }
-
-    free = [{r.name for r in fit.sets.parameters if r.status == "free"} for fit in fits]
+    judged = [fit.trust.by_name if fit.trust else {} for fit in fits]
+    known = [fit.sets.known for fit in fits]
+    free = [{name: row for name, row in rows.items() if row.record.status == "free"} for rows in known]
+    records = {name: row.record for rows in free for name, row in rows.items() if not row.record.trial}
 
     def value(k: int, name: str) -> str:
-        row, sets = known[k].get(name), fits[k].sets
-        lost = in_place_of_digits(sets.settings, name) is not None
-        if lost or (row is None and name not in sets.names):
+        row, found = judged[k].get(name), known[k].get(name)
+        if found is None or found.instead:
             return NONE
-        return rounded(row.refined if row else float(sets.values[0, sets.names.index(name)]))
+        return rounded(row.refined if row else found.values[0])
 
     def span(k: int, name: str) -> Cell:
-        row = known[k].get(name)
+        row = judged[k].get(name)
         if row is None:
-            return Cell("not free" if name not in free[k] else NONE)
+            return Cell(NONE if name in free[k] else "not free")
         return Cell(f"{row.interval}, {row.words}", TONES.get(row.verdict, "bad"))
 
     def differs(name: str) -> Cell:
@@ -142,7 +135,7 @@ def _parameter_table(document: Comparison, fits: Sequence[ComparedFit]) -> Table
             return Cell(f"differs: {'; '.join(pairs)}", "bad")
         return Cell("not judged" if any(row.differs is None for row in rows) else "no" if rows else NONE)
 
-    shown: list[Any] = [
+    shown = [
         words("symbol", lambda name: name_and_unit(records[name].symbol or name, records[name].unit)),
         words("name", lambda name: name.replace("_", " ")),
     ]

@@ -23,7 +23,6 @@ from sysid.fit.adequacy import NOT_BY, Bias
 from sysid.fit.optima import unfixed
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import record_lines, run_record
-from sysid.parameter_sets import in_place_of_digits
 from sysid.parameters import in_words
 from sysid.report.answer import (
     Reopened,
@@ -333,8 +332,8 @@ class FitReport:
             return ()
         flags = unfixed(fit.runs, fit.searched) if fit.searched else ()
         wide = {record.name for record, flag in zip(fit.searched, flags, strict=True) if flag}
-        free = [record.name for record in fit.parameters if record.status == "free"]
-        return tuple(name for name in free if name in wide or in_place_of_digits(fit.settings, name))
+        free = [(name, row) for name, row in fit.known.items() if row.record.status == "free"]
+        return tuple(name for name, row in free if name in wide or row.instead)
 
     @titled("Parameters")
     def parameters(self) -> Html:

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from sysid.documents import channel_symbol, rounded
-from sysid.parameter_sets import (
-    COMBINATIONS,
-    NEAR_BEST,
-    Judged,
-    ParameterRecord,
-    ParameterSets,
-    in_place_of_digits,
-)
+from sysid.parameter_sets import NEAR_BEST, Known, ParameterRecord, ParameterSets
 from sysid.report.table import (
     NONE,
     Cell,
@@ -36,7 +29,6 @@ _AT_BOUND, _UNFIXED = "*", "†"
 _FLAG = f"{_AT_BOUND} ends within 1 % of a bound of the search"
 _SPREAD = "σ is the spread of the runs, not the accuracy; it includes runs that ended elsewhere"
 _NOISE = "the NRMSE of a velocity (ẋ_B, ż_B) is mostly noise: velocities are differentiated positions"
-# Channels whose symbol is another than their name.
 
 
 def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
@@ -44,8 +36,8 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
 
     The values of `unfixed` parameters, which the data do not determine, have one digit and a mark.
     """
-    searched = [i for i, record in enumerate(sets.parameters) if _is_found(sets, record)]
-    shown = searched or [i for i, record in enumerate(sets.parameters) if record.status == "measured"]
+    known = sets.known.values()
+    shown = [row for row in known if row.found] or [row for row in known if row.record.status == "measured"]
     rows = [_scores("NRMSE fitted", sets.nrmse, "strong")]
     if judged := sets.provenance.get("adequacy"):
         rows.append(_scores("noise alone", np.full(len(sets), judged["floor"])))
@@ -56,14 +48,13 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     if any(sets.runs):
         rows.append([Cell("run"), *(Cell(str(run) if run else NONE) for run in sets.runs)])
     above = len(rows)
-    for column in shown:
-        loose = sets.names[column] in unfixed
-        record = sets.parameters[column]
-        heading = name_and_unit(record.symbol, record.unit) + (f" {_UNFIXED}" if loose else "")
-        rows.append([Cell(heading), *(_value(sets, s, column, loose) for s in range(len(sets)))])
-    digits = [i for i in shown if in_place_of_digits(sets.settings, sets.names[i]) is None]
-    notes = [_FLAG] if np.any(sets.at_bound[:, digits]) else []
-    if any(sets.names[column] in unfixed for column in shown):
+    for row in shown:
+        loose = row.record.name in unfixed
+        heading = name_and_unit(row.record.symbol, row.record.unit) + (f" {_UNFIXED}" if loose else "")
+        values = (Cell(row.text(s, 1 if loose else 4), _tone(bound)) for s, bound in enumerate(row.at_bound))
+        rows.append([Cell(heading), *values])
+    notes = [_FLAG] if any(np.any(row.at_bound) and not row.instead for row in shown) else []
+    if any(row.record.name in unfixed for row in shown):
         notes.append(f"{_UNFIXED} not identifiable: no digits")
     count = "one set" if len(sets) == 1 else f"{len(sets)} sets, best first"
     heads = ("parameter", *(f"set {rank}" for rank in range(1, len(sets) + 1)))
@@ -75,53 +66,36 @@ def _scores(what: str, values: FloatArray, tone: Tone = "") -> list[Cell]:
     return [Cell(text, tone) for text in (what, *shares)]
 
 
-def _value(sets: ParameterSets, s: int, column: int, loose: bool) -> Cell:
-    bound = bool(sets.at_bound[s, column])
-    text = in_place_of_digits(sets.settings, sets.names[column])
-    if text is None:
-        text = rounded(sets.values[s, column], 1 if loose else 4) + (_AT_BOUND if bound else "")
-    return Cell(text, "doubtful" if bound else "")
+def _tone(at_bound: object) -> Tone:
+    return "doubtful" if at_bound else ""
 
 
 @dataclass(frozen=True)
 class MeanRow:
-    """One row of Table II: what was measured (nothing, one value, or a range), and (mean, σ) by fit [unit].
+    """One row of Table II: what was measured (nothing, one value, or a range) [unit], what each fit found.
 
     A fit that did not search the parameter has None.
     """
 
     record: ParameterRecord
     measured: tuple[float, ...]
-    fitted: tuple[tuple[float, float] | None, ...]
+    fitted: tuple[Known | None, ...]
 
 
-def mean_table(*fits: ParameterSets) -> tuple[MeanRow, ...]:
-    """Return the rows of Table II for fits of one kind: what at least one of them found or measured.
-
-    σ is divided by S - 1.
-    """
-    records: dict[str, ParameterRecord] = {}
-    for sets in fits:
-        for record in sets.parameters:
-            if record.status == "measured" or _is_found(sets, record):
-                records.setdefault(record.name, record)
-    return tuple(_mean_row(record, fits) for record in records.values())
-
-
-def _mean_row(record: ParameterRecord, fits: Sequence[ParameterSets]) -> MeanRow:
-    measured: tuple[float, ...] = ()
-    fitted: list[tuple[float, float] | None] = [None] * len(fits)
-    for k, sets in enumerate(fits):
-        if record.name not in sets.names:
-            continue
-        i = sets.names.index(record.name)
-        column, mean = sets.parameters[i], float(sets.mean[i])
-        if _is_found(sets, column):
-            fitted[k] = (mean, float(sets.sigma[i]))
-            measured = measured or (column.measured_range or ())
-        elif column.status == "measured":
-            measured = (mean,)
-    return MeanRow(record, measured, tuple(fitted))
+def mean_table(*fits: ParameterSets) -> list[MeanRow]:
+    """Return the rows of Table II for fits of one kind: what at least one of them found or measured."""
+    known = [sets.known for sets in fits]
+    rows: list[MeanRow] = []
+    for name in dict.fromkeys(name for of_fit in known for name in of_fit):
+        each = [of_fit.get(name) for of_fit in known]
+        told = [row for row in each if row and (row.found or row.record.status == "measured")]
+        measured: tuple[float, ...] = ()
+        for row in told:
+            measured = measured or (row.record.measured_range or ()) if row.found else (row.mean,)
+        if told:
+            fitted = tuple(row if row and row.found else None for row in each)
+            rows.append(MeanRow(told[0].record, measured, fitted))
+    return rows
 
 
 def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
@@ -131,58 +105,54 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
     identifiable" replaces the digits of `unfixed` parameters. A parameter of which any set ends at a bound is
     flagged.
     """
-    flags = [{sets.names[i] for i in np.flatnonzero(np.any(sets.at_bound != 0, axis=0))} for sets in fits]
-    # Words in place of digits carry no mark.
-    marked = any(
-        name not in unfixed and in_place_of_digits(sets.settings, name) is None
-        for sets, names in zip(fits, flags, strict=True)
-        for name in names
-    )
+    rows = mean_table(*fits)
     notes = [_SPREAD] if any(np.any(np.nan_to_num(sets.sigma, posinf=0.0) > 0) for sets in fits) else []
     left_out = sum(int(np.count_nonzero(~sets.counted)) for sets in fits)
-    notes += (
-        [f"{left_out} of the sets left out: cut short above {NEAR_BEST:g} × best NRMSE"] if left_out else []
-    )
-    notes += [f"{_FLAG} in at least one set"] if marked else []
+    if left_out:
+        notes.append(f"{left_out} of the sets left out: cut short above {NEAR_BEST:g} × best NRMSE")
 
-    def fitted(k: int, row: MeanRow) -> Cell:
-        cell, name = row.fitted[k], row.record.name
-        text = in_place_of_digits(fits[k].settings, name)
-        if text is None and name in unfixed and cell is not None:
-            text = "not identifiable"
-        flagged = name in flags[k]
-        return Cell(text or mean_sigma(cell) + (_AT_BOUND if flagged else ""), "doubtful" if flagged else "")
+    def fitted(k: int, row: MeanRow) -> str | Cell:
+        known = row.fitted[k]
+        if known is None:
+            return NONE
+        text = known.instead or ("not identifiable" if row.record.name in unfixed else "")
+        bound = np.any(known.at_bound)
+        # Words in place of digits carry no mark.
+        digits = mean_sigma((known.mean, known.sigma)) + (_AT_BOUND if bound else "")
+        return Cell(text or digits, _tone(bound))
 
     def bounds(row: MeanRow) -> str:
-        every = (r for sets in fits for r in sets.parameters if r.name == row.record.name)
-        free = next((r for r in every if r.status == "free"), None)
+        every = (known.record for known in row.fitted if known)
+        free = next((record for record in every if record.status == "free"), None)
         if free is None or free.lower is None or free.upper is None:
             return NONE
         return f"{rounded(free.lower)} to {rounded(free.upper)}"
 
-    known = fits[0].judged if len(fits) == 1 else {}
+    def interval(row: MeanRow) -> str:
+        known = row.fitted[0]
+        return known.judged.interval if known and known.judged else NONE
 
-    def certain(text: Callable[[Judged], str]) -> Callable[[MeanRow], str]:
-        return lambda row: text(known[row.record.name]) if row.record.name in known else NONE
+    def verdict(row: MeanRow) -> str:
+        known = row.fitted[0]
+        return known.judged.verdict.replace("_", " ") if known and known.judged else NONE
 
-    judged = (
-        numbers("95 % interval", certain(lambda found: found.interval)),
-        words("verdict", certain(lambda found: found.verdict.replace("_", " "))),
-    )
-    return table(
+    judged = numbers("95 % interval", interval), words("verdict", verdict)
+    filled = table(
         "measured and identified parameters (mean ± σ of the sets)",
-        mean_table(*fits),
+        rows,
         (
             words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
             # The fits first: a phone shows the left of a table.
             *(numbers(sets.name, partial(fitted, k)) for k, sets in enumerate(fits)),
-            *(judged if known else ()),
+            *(judged if len(fits) == 1 and fits[0].judged else ()),
             # A range of no width is one value.
             words("measured", lambda row: " to ".join(dict.fromkeys(map(rounded, row.measured))) or NONE),
             words("bounds", bounds),
         ),
-        "\n".join(notes),
     )
+    if any(_AT_BOUND in cell.text for row in filled.rows for cell in row[1 : 1 + len(fits)]):
+        notes.append(f"{_FLAG} in at least one set")
+    return replace(filled, caption="\n".join(notes))
 
 
 def trial_table(sets: ParameterSets) -> Table:
@@ -228,42 +198,28 @@ def adequacy_table(sets: ParameterSets) -> Table:
 
 def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
     """Return what the best set of a synthetic campaign found, and its interval, beside the `truth` [SI]."""
-    intervals = sets.judged
 
-    def found(i: int) -> str:
-        return in_place_of_digits(sets.settings, sets.names[i]) or rounded(sets.values[0, i])
+    def off(row: Known) -> str:
+        true = truth[row.record.name]
+        return percent(row.values[0] / true - 1, 1) if true and not row.instead else NONE
 
-    def off(i: int) -> str:
-        name = sets.names[i]
-        known = truth[name] and in_place_of_digits(sets.settings, name) is None
-        return percent(sets.values[0, i] / truth[name] - 1, 1) if known else NONE
-
-    def inside(i: int) -> str | Cell:
-        if sets.names[i] not in intervals:
+    def inside(row: Known) -> str | Cell:
+        if row.judged is None:
             return NONE
-        inside = intervals[sets.names[i]].contains(truth[sets.names[i]])
-        return "yes" if inside else Cell("no", "doubtful")
-
-    def within(i: int) -> str:
-        return intervals[sets.names[i]].interval if sets.names[i] in intervals else NONE
+        return "yes" if row.judged.contains(truth[row.record.name]) else Cell("no", "doubtful")
 
     return table(
         f"{sets.name}: found against true",
-        [i for i, record in enumerate(sets.parameters) if _is_found(sets, record) and record.name in truth],
+        [row for name, row in sets.known.items() if row.found and name in truth],
         (
-            words("parameter", lambda i: name_and_unit(sets.parameters[i].symbol, sets.parameters[i].unit)),
-            numbers("true", lambda i: rounded(truth[sets.names[i]])),
-            numbers("found", found),
+            words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
+            numbers("true", lambda row: rounded(truth[row.record.name])),
+            numbers("found", lambda row: row.instead or rounded(row.values[0])),
             numbers("off", off, "%"),
-            numbers("95 % interval", within),
+            numbers("95 % interval", lambda row: row.judged.interval if row.judged else NONE),
             words("inside", inside),
         ),
     )
-
-
-def _is_found(sets: ParameterSets, record: ParameterRecord) -> bool:
-    """Whether the search found a number, by itself or as a combination of others."""
-    return record.status == "free" or record.name in sets.settings.get(COMBINATIONS, ())
 
 
 def _trial_means(sets: ParameterSets) -> FloatArray:

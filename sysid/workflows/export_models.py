@@ -88,10 +88,10 @@ def _certainty(sets: ParameterSets) -> list[str]:
     out = []
     if judged := sets.provenance.get("adequacy"):
         out.append(f"Fit {judged['sentence']}.")
-    records = {record.name: record for record in sets.parameters}
-    for name, row in sets.judged.items():
-        unit, verdict = records[name].unit, row.verdict.replace("_", " ")
-        out.append(f"{name} [{unit}]: 95 % interval {row.interval}, {verdict}.")
+    for name, row in sets.known.items():
+        if row.judged:
+            verdict = row.judged.verdict.replace("_", " ")
+            out.append(f"{name} [{row.record.unit}]: 95 % interval {row.judged.interval}, {verdict}.")
     return out
 
 

@@ -94,7 +94,8 @@ def test_mean_table_is_table_two():
     stiffness, mass = rows
     column = np.array([6400.1, 6500.3, 2000.1])
     # σ over the runs is the sample's: divided by S - 1.
-    assert stiffness.fitted == (pytest.approx((column.mean(), column.std(ddof=1))), (6670.0, 0.0))
+    spread = [number for known in stiffness.fitted for number in (known.mean, known.sigma)]
+    assert spread == pytest.approx([column.mean(), column.std(ddof=1), 6670.0, 0.0])
     assert stiffness.measured == (5600.0, 6600.0)
     assert mass.measured == (1.242,)
     assert mass.fitted == (None, None)
