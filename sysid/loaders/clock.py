@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.options import is_positive
+from sysid.loaders.options import LogOptions, is_positive
 from sysid.loaders.table import Numbers
 from sysid.recording import BoolArray, FloatArray
 
@@ -47,17 +47,17 @@ def order_rows(
     time_column: int,
     factor: float,
     *,
+    options: LogOptions | None = None,
     stale_start: bool = False,
-    time_back: str = "",
     coarse: str = EXPORT_FINER,
 ) -> tuple[FloatArray, list[Finding]]:
     """Return strictly increasing times [s] and notes; `numbers` keeps only the rows they belong to.
 
     A row without a time is left out; of rows that repeat one time the last is kept. `factor` turns the
     column `time_column` into seconds. With `stale_start`, one or two rows at the start whose time is beyond
-    the next are dropped. `time_back` ``"drop"`` leaves out rows that do not pass the latest time;
-    ``"refuse"`` (and the empty text, of a format without that option) makes a falling time a LogError, as is
-    a log without times. `coarse` is the advice where a clock repeats its times.
+    the next are dropped. A falling time is a LogError, as is a log without times; where the `options` of a
+    format that takes ``time_back`` say ``"drop"``, rows that do not pass the latest time are left out.
+    `coarse` is the advice where a clock repeats its times.
     """
     notes: list[Finding] = []
     timed = np.isfinite(numbers.columns[time_column])
@@ -83,12 +83,12 @@ def order_rows(
         time = time[stale:]
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0)
-    if back.size and time_back != "drop":
+    if back.size and (options is None or options.time_back != "drop"):
         row = int(back[0])
         raise LogError(
             f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: time goes back from "
             f"{time[row]:.12g} s to {time[row + 1]:.12g} s; "
-            "split the log there" + (' or set time_back = "drop"' if time_back else "")
+            "split the log there" + (' or set time_back = "drop"' if options else "")
         )
     if back.size:
         later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1])
@@ -123,9 +123,8 @@ def frame_clock(
     frame_column: int,
     time_column: int,
     factor: float,
-    *,
+    options: LogOptions,
     other_clock: str = "time",
-    time_back: str = "",
 ) -> tuple[FloatArray, list[Finding]]:
     """Return times [s] rebuilt from frame numbers, and notes, where the written ones are times of arrival.
 
@@ -134,7 +133,7 @@ def frame_clock(
     times into seconds. `other_clock` is what to choose where the two columns do not belong together (a
     LogError).
     """
-    _, notes = order_rows(path, numbers, frame_column, 1.0, time_back=time_back)
+    _, notes = order_rows(path, numbers, frame_column, 1.0, options=options)
     frames, written = numbers.columns[frame_column], numbers.columns[time_column] * factor
     seen = np.isfinite(written)
     if seen.sum() < _FEWEST_FRAMES:

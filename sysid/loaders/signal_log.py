@@ -286,9 +286,7 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
     channels: dict[str, Channel] = {}
     unknown: list[str] = []
     for key, names in clocks.members.items():
-        time, ordered = order_rows(
-            path, clocks.numbers[key], 0, 1.0, time_back=options.time_back or "refuse", coarse=DECLARE_RATE
-        )
+        time, ordered = order_rows(path, clocks.numbers[key], 0, 1.0, options=options, coarse=DECLARE_RATE)
         notes += [finding for finding in ordered if finding not in notes]
         for index, channel in enumerate(names, start=1):
             values = clocks.numbers[key].columns[index]

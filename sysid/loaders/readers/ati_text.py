@@ -208,8 +208,7 @@ def _check_time_is_first(path: str, first: FloatArray, last: FloatArray, *, unus
 
 
 def _parse(source: Source, options: BenchOptions) -> RawTable:
-    path, time_back = source.path, options.time_back or "refuse"
-    rate = declared_rate(path, options.rate)
+    path, rate = source.path, declared_rate(source.path, options.rate)
     loads, seconds = options.units, None
     if isinstance(loads, Mapping) and "time" in loads:
         with naming(f"{path}: time"):
@@ -238,14 +237,14 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     numbers = read_numbers(text, table, range(len(table.names)), surplus=False)
     del text  # the file's bytes are not needed any more
     if lead and seconds is None:
-        unused = rate is not None or time_back == "drop"
+        unused = rate is not None or options.time_back == "drop"
         _check_time_is_first(path, numbers.columns[0], numbers.columns[6], unused=unused)
     notes = numbers.notes
     rate = stated if rate is None else rate
     if seconds is not None and not lead:
         raise UnitError(f"{path}: units names a time, but rows have six numbers and no time; leave it out")
     if lead and rate is None:
-        time, ordered = order_rows(path, numbers, 0, seconds or 1.0, time_back=time_back, coarse=DECLARE_RATE)
+        time, ordered = order_rows(path, numbers, 0, seconds or 1.0, options=options, coarse=DECLARE_RATE)
         step = float(np.median(np.diff(time))) if time.size > 1 else 0.0
         if seconds is None and step >= _SLOWEST_STEP:
             raise LogError(

@@ -88,8 +88,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         notes.append(note("time-from-rate", f"time rebuilt from the declared rate of {rate:g} Hz"))
     else:
         assert clock is not None
-        back = options.time_back or "refuse"
-        time, ordered = order_rows(path, numbers, clock.index, seconds, time_back=back, coarse=DECLARE_RATE)
+        time, ordered = order_rows(path, numbers, clock.index, seconds, options=options, coarse=DECLARE_RATE)
         notes += [*ordered, *jitter_note(time)]
     raw = RawTable("signals", "", time, [*notes, *declared.notes])
     if command:

@@ -117,7 +117,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     if not first.size:
         raise LogError(f"{path}: no row has an RDT sequence number; the log is empty")
     numbers.columns[sequence] = counted - first[0]
-    time, ordered = order_rows(path, numbers, sequence, 1.0 / rate, time_back=options.time_back or "refuse")
+    time, ordered = order_rows(path, numbers, sequence, 1.0 / rate, options=options)
     lost = round(float(time[-1] * rate)) + 1 - time.size
     notes += [*ordered, *([note("packets-lost", f"packets lost, left as holes: {lost}")] if lost > 0 else [])]
     notes.append(note("time-from-sequence", f"time rebuilt from RDT sequence numbers at {rate:g} Hz"))

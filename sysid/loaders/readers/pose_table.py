@@ -168,12 +168,11 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     triples = [column for columns in extra.values() for column in columns.values()]
     wanted = [stamp, *counted, *position.values(), *quaternion, *triples]
     numbers = table.read(wanted)
-    time_back = options.time_back or "refuse"
-    if frame is not None and options.clock == "frame":
-        time, ordered = frame_clock(path, numbers, frame.index, stamp.index, seconds, time_back=time_back)
+    if counted:
+        time, ordered = frame_clock(path, numbers, counted[0].index, stamp.index, seconds, options)
     else:
         coarse = EXPORT_FINER if frame is None else 'choose clock = "frame"'
-        time, ordered = order_rows(path, numbers, stamp.index, seconds, time_back=time_back, coarse=coarse)
+        time, ordered = order_rows(path, numbers, stamp.index, seconds, options=options, coarse=coarse)
     notes = [*numbers.notes, *ordered, *unread_note(header, wanted)]
     if not states_time:
         step = float(np.median(np.diff(time))) if time.size > 1 else 0.0

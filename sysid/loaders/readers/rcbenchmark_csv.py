@@ -202,9 +202,7 @@ def _clock(
         points = np.arange(numbers.lines.size, dtype=np.float64)
         notes = _point_notes(numbers, written)
         return points, points if written is None else written, notes
-    time, ordered = order_rows(
-        path, numbers, column.index, seconds, stale_start=True, time_back=options.time_back or "refuse"
-    )
+    time, ordered = order_rows(path, numbers, column.index, seconds, options=options, stale_start=True)
     return time, None, ordered
 
 

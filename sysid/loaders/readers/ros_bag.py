@@ -180,9 +180,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
             dict(enumerate(table.T.copy())), np.arange(1, len(table) + 1), row_word=f"{name} message"
         )
         coarse = 'choose clock = "arrival"' if clock == "header" else EXPORT_FINER
-        time, ordered = order_rows(
-            path, numbers, 0, 1.0, time_back=options.time_back or "refuse", coarse=coarse
-        )
+        time, ordered = order_rows(path, numbers, 0, 1.0, options=options, coarse=coarse)
         raw.notes += [
             replace(finding, sentence=f"{name}: {finding}") for finding in (*ordered, *jitter_note(time))
         ]

@@ -104,16 +104,13 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     if clock == "header" and not np.nan_to_num(numbers.columns[stamp.index]).any():
         raise LogError(f'{path}: every header stamp is 0; choose clock = "arrival"')
     unit, assumed = _stamp_unit(path, numbers, stamp)
-    time_back = options.time_back or "refuse"
     if counted:
         other = "header" if wanted == _STAMP else "arrival"
-        time, ordered = frame_clock(
-            path, numbers, counted[0].index, stamp.index, unit, time_back=time_back, other_clock=other
-        )
+        time, ordered = frame_clock(path, numbers, counted[0].index, stamp.index, unit, options, other)
     else:
         arrival = wanted == _STAMP and _ARRIVAL in clocks
         coarse = 'choose clock = "arrival"' if arrival else EXPORT_FINER
-        time, ordered = order_rows(path, numbers, stamp.index, unit, time_back=time_back, coarse=coarse)
+        time, ordered = order_rows(path, numbers, stamp.index, unit, options=options, coarse=coarse)
     notes = [*numbers.notes, *assumed, *ordered, *jitter_note(time), *unread_note(columns, read)]
     position = numbers.stacked(column.index for column in place) * scale
     pose = Body(body, time, position, numbers.stacked(column.index for column in turn), numbers)
