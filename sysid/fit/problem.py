@@ -195,19 +195,17 @@ class Problem(ABC):
     def _compared(self, rows: FloatArray) -> tuple[FloatArray, Scores]:
         """Return the residuals (P, m) and scores of rows, as many at once as their samples fit in memory."""
         out = np.zeros((len(rows), self.blocks[-1].stop))
-        parts = []
+        by_channel = np.zeros((len(rows), len(self.trials), len(self.channels)))
+        cause = np.zeros((len(rows), len(self.trials)), dtype=np.int8)
         for part in self.parts(len(rows)):
             prediction = self.predict(rows[part])
-            parts.append(prediction)
+            by_channel[part], cause[part] = prediction.by_channel, prediction.cause
             for block in self.blocks:
                 trial = self.trials[block.trial]
                 signal = prediction.signals[block.trial][:, :, block.channel]
                 error = signal - trial.measured[:, block.channel]
                 valid = trial.valid[:, block.channel]
                 out[part, block.start : block.stop] = np.where(valid, error, 0.0) / block.spread
-        by_channel, cause = (
-            np.concatenate([getattr(part, name) for part in parts]) for name in ("by_channel", "cause")
-        )
         return out, Scores(by_channel, cause)
 
     def parts(self, count: int) -> list[slice]:

@@ -7,6 +7,8 @@ the ranked sets with settings and provenance as text (the same document that ``s
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,16 +42,23 @@ def check_new_fit(path: str | Path, force: bool = False) -> None:
     check_folder(path, force=force, marker="fit.h5", error_type=FitError)
 
 
-def write_fit(result: FitResult, path: str | Path, force: bool = False) -> Path:
+def write_fit(
+    result: FitResult,
+    path: str | Path,
+    force: bool = False,
+    beside: Callable[[str], Mapping[str, bytes]] = lambda fit_sha256: {},
+) -> Path:
     """Write a fit folder, whose parents are made, and return its path.
 
-    `force` replaces an existing fit folder, with all that is in it, once the new one is complete. Raises
-    FitError, with nothing changed, when the folder exists and `force` is off, or it cannot be written.
+    `beside` returns further files of the folder by name, or other content of ``fit.json`` and
+    ``summary.txt``, from the SHA-256 of ``fit.h5``. `force` replaces an existing fit folder, with all that is
+    in it, once the new one is complete. Raises FitError, with nothing changed, when the folder exists and
+    `force` is off, or it cannot be written.
     """
     path = Path(path)
     sets = result.parameter_sets()
-    texts = fit_texts(result)
     numbers = FIT_FILE.content(lambda file: _write_numbers(file, result, sets))
+    texts = fit_texts(result) | dict(beside(hashlib.sha256(numbers).hexdigest()))
     with replaced_folder(path, force=force, marker="fit.h5", error_type=FitError) as folder:
         (folder / "fit.h5").write_bytes(numbers)
         for name, data in texts.items():

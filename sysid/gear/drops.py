@@ -62,6 +62,8 @@ class PreparedDrop:
         Samples that a simulation must give: the window and the filter's margin after it [s].
     before : (margin, 3) array
         x, z, pitch at the samples before the window, equal for every candidate.
+    recording : Recording or None
+        The log, for what is told of it; it stays behind when the drop travels to another process.
     spectrum : Spectrum or None
         Of the five channels in the window and its margins before the filter; None without a filter.
     """
@@ -79,6 +81,7 @@ class PreparedDrop:
     before: FloatArray
     target: TrialTarget
     spectrum: Spectrum | None
+    recording: Recording | None
     provenance: dict[str, Any]
 
     @property
@@ -209,6 +212,7 @@ class _Preparation:
             before=flight.at(motion.time[window.start - around : window.start])[:, :3],
             target=target,
             spectrum=spectrum,
+            recording=self.recording,
             provenance={
                 **self.recording.provenance.source,
                 "rate": motion.rate,

@@ -56,7 +56,7 @@ def _open(campaign: GearCampaign, path: Path, threads: int | None) -> GearProble
     space = gear_space(campaign)
     # Refused before the drops are read.
     campaign.parameters.measured_ranges(PARAMETERS)
-    return GearProblem(campaign, space, prepare_drops(campaign, path), threads, path=path)
+    return GearProblem(campaign, space, prepare_drops(campaign, path), threads)
 
 
 def _begin(problem: GearProblem) -> None:

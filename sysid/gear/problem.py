@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -136,7 +135,7 @@ class GearProblem(Problem):
 
     The campaign's cost, surface and stated values count; the numbers do not depend on the threads (all cores
     by default). The tolerance, by default the campaign's, bounds the simulation's error per step
-    (`sysid.gear.model.simulate`); the path is the campaign's file.
+    (`sysid.gear.model.simulate`).
     """
 
     campaign: GearCampaign
@@ -144,12 +143,16 @@ class GearProblem(Problem):
     drops: tuple[PreparedDrop, ...]
     threads: int | None = None
     tolerance: float | None = None
-    path: Path | None = None
     causes = CAUSES
 
     def __post_init__(self) -> None:
         if self.tolerance is None:
             object.__setattr__(self, "tolerance", fit_tolerance(self.campaign))
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The search needs no logs, and their samples would travel to every worker.
+        drops = tuple(replace(drop, recording=None) for drop in self.drops)
+        return super().__getstate__() | {"drops": drops}
 
     @property
     def board_length(self) -> float | None:

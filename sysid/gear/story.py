@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sysid.campaign.file import resolve_log
 from sysid.fit.story import Story
 from sysid.gear.beyond_window import centre_of_mass, stopping
-from sysid.gear.drops import PreparedDrop, lowpass_of, read_drop_log
+from sysid.gear.drops import PreparedDrop, lowpass_of
 from sysid.gear.model import PARAMETERS, EventKind, simulate
 from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
 from sysid.gear.problem import ONE_TOUCHDOWN, GearProblem
@@ -55,12 +54,10 @@ class GearStory(Story[GearProblem]):
         return [self._quality(drop) for drop in self.problem.drops]
 
     def _quality(self, drop: PreparedDrop) -> dict[str, Any]:
-        assert self.problem.path is not None
+        assert drop.recording is not None
         campaign, flight, motion = self.problem.campaign, drop.flight, drop.motion
         trial = next(entry for entry in campaign.trials if entry.name == drop.name)
-        log = resolve_log(self.problem.path, trial.log)
-        recording = read_drop_log(campaign, log, trial.rigid_body, trial.log_options.model_dump_json())
-        report = inspect_recording(recording, campaign.vehicle.gravity)
+        report = inspect_recording(drop.recording, campaign.vehicle.gravity)
         notice_contradictions(campaign, trial, report.drop)
         window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
         tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))

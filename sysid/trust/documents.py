@@ -396,10 +396,14 @@ def write_part(
     `beside` are further files of the folder that change with it, by name. Raises FitError, with nothing
     changed, when it cannot be written.
     """
-    stamp = {
-        "fit_sha256": file_sha256(folder / "fit.h5"),
-        "written": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
+    files = part_files(document, arrays, file_sha256(folder / "fit.h5")) | dict(beside or {})
+    write_files({folder / name: data for name, data in files.items()}, FitError)
+    return folder / f"{document.part}.json"
+
+
+def part_files(document: TrustPart, arrays: Arrays, fit_sha256: str) -> dict[str, bytes]:
+    """Return the files of a document and its arrays by name; `fit_sha256` is of the fit.h5 beside them."""
+    stamp = {"fit_sha256": fit_sha256, "written": datetime.now(UTC).isoformat(timespec="seconds")}
     text = document.model_copy(update=stamp).text()
 
     def write(file: Any) -> None:
@@ -407,11 +411,8 @@ def write_part(
         for path, (values, axes, unit) in arrays.items():
             put(file, path, values, axes, unit)
 
-    target = folder / f"{document.part}.json"
     # The arrays first: without the document, which names them, they count as not there.
-    files = {folder / f"{document.part}.h5": ARRAYS.content(write), target: text.encode("utf-8")}
-    write_files(files | {folder / name: data for name, data in (beside or {}).items()}, FitError)
-    return target
+    return {f"{document.part}.h5": ARRAYS.content(write), f"{document.part}.json": text.encode("utf-8")}
 
 
 def read_arrays(folder: Path, part: str) -> dict[str, FloatArray]:

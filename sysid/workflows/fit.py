@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -28,18 +29,19 @@ from sysid.fit.result import FitResult, bound_findings, ranked_sets
 from sysid.fit.search import Hooks, run_many
 from sysid.fit.settings import SearchSettings, StopRule
 from sysid.fit.stopping import CutReason, Deadline, StopFlag, stop_on_interrupt
-from sysid.fit.store import check_new_fit, write_fit
+from sysid.fit.store import check_new_fit, fit_texts, write_fit
 from sysid.fit.story import Story
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
 from sysid.parameter_sets import INTERVALS
-from sysid.trust.documents import with_intervals
+from sysid.trust.documents import part_files, stating_intervals
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import sentences
 from sysid.workflows.kinds import naming_campaign, open_campaign
 from sysid.workflows.options import FitOptions, TrustOptions
 from sysid.workflows.provenance import fit_identity, processor, provenance
-from sysid.workflows.trust import assess_fit
+from sysid.workflows.reopen import OpenedFit
+from sysid.workflows.trust import assess_opened
 
 # Runs that share a cluster at the same time: while one breeds, the others keep its workers busy.
 _RUNS_AT_ONCE = 8
@@ -141,10 +143,10 @@ def fit_campaign(
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
             judged = _judged(problem.fitted.exact, outcome)
             record = {**provenance(search, story, folder), **expected, "adequacy": judged.model_dump()}
-            result = _result(model.name, problem, runs, _unread(outcome, judged), record)
-            assessed = options.trust and outcome.cut is None
+            follows = options.trust and outcome.cut is None
+            result = _result(model.name, problem, runs, outcome, record)
             # A spread of the sets beside an interval is a second claim; of a wrong model it is none.
-            loose = loose_findings(runs, problem.space, not assessed and judged.verdict != NOT_BY)
+            loose = loose_findings(runs, problem.space, not follows and judged.verdict != NOT_BY)
             doubts = chain(misfit_finding(judged), loose, bound_findings(outcome.records, outcome.at_bound))
             _add_doubts(journal, doubts)
             noticed = [finding.document() for finding in journal.findings]
@@ -153,13 +155,34 @@ def fit_campaign(
                 provenance={**result.provenance, "findings": noticed},
                 warnings=tuple(journal.sentences()),
             )
-            written = write_fit(result, folder, options.force or options.resume)
+            final = replace(result, settings=_cut_by_bounds(outcome, judged))
+            replaces = options.force or options.resume
+            write = partial(write_fit, final, folder, replaces)
             until_written.close()
+            if follows:
+                try:
+                    opened = OpenedFit(folder, result, path, model, problem)
+                    with Journal(say, heard=result.warnings) as inner:
+                        # Resamples would take longer than all else, and no interval rests on them.
+                        trust = TrustOptions(resamples=0, threads=options.threads, dask=options.dask)
+                        document, arrays = assess_opened(opened, trust, inner)
+                except SysidError as error:
+                    # The fit is whole without its intervals.
+                    missing = f"no intervals ({error}); run sysid trust {folder}"
+                except KeyboardInterrupt:
+                    # The sets are not lost to a user who wants no intervals; --resume makes them.
+                    write()
+                    raise
+                else:
+                    final = stating_intervals(result, document)
+                    texts = fit_texts(final)
+                    write = partial(
+                        write_fit, result, folder, replaces,
+                        lambda sha: {**part_files(document, arrays, sha), **texts},
+                    )  # fmt: skip
+            written = write()
             if outcome.cut is None:
-                if assessed:
-                    missing = _assess(written, options, say, result.warnings)
-                    result = with_intervals(result, written)
-                # What is done needs no checkpoint any more; until here --resume goes on with the intervals.
+                # A finished fit needs no checkpoint; until here --resume goes on with the intervals.
                 checkpoint.discard()
         except KeyboardInterrupt:
             # Aborted by a second Ctrl-C, or by the first one before or after the search.
@@ -168,19 +191,7 @@ def fit_campaign(
             raise
     if missing:
         say(f"warning: {missing}") if say else notice("no-intervals", missing)
-    return result, written
-
-
-def _assess(written: Path, options: FitOptions, say: Say, heard: Iterable[str]) -> str:
-    """Add the intervals to a fit; return a sentence where that cannot be: the fit is whole without them."""
-    # Resamples would take longer than all else, and no interval rests on them.
-    trust = TrustOptions(resamples=0, threads=options.threads, dask=options.dask)
-    try:
-        assess_fit(written, trust, say, heard)
-    except SysidError as error:
-        # A campaign that was moved meanwhile must not look like a failure.
-        return f"no intervals ({error}); run sysid trust {written}"
-    return ""
+    return final, written
 
 
 def _add_doubts(journal: Journal, doubts: Iterable[Finding]) -> None:
@@ -200,10 +211,10 @@ def _judged(fitted: Problem, outcome: FitOutcome) -> Adequacy:
     return judged
 
 
-def _unread(outcome: FitOutcome, judged: Adequacy) -> FitOutcome:
-    """Return an outcome whose settings give the verdict on what a bound cuts because the model is wrong.
+def _cut_by_bounds(outcome: FitOutcome, judged: Adequacy) -> dict[str, Any]:
+    """Return the settings of a fit without intervals, so that no digits of what a bound cuts are printed.
 
-    The intervals of a trust replace it; without one no table and no export prints digits of it either.
+    They give the verdict on such parameters where the model does not explain the trials.
     """
     cut = {
         row.name: {
@@ -215,11 +226,10 @@ def _unread(outcome: FitOutcome, judged: Adequacy) -> FitOutcome:
         for row in outcome.records
         if row.name in judged.symptoms
     }
-    if not cut:
-        return outcome
-    return replace(
-        outcome, settings={**outcome.settings, INTERVALS: {**outcome.settings.get(INTERVALS, {}), **cut}}
-    )
+    return {
+        **outcome.settings,
+        **({INTERVALS: {**outcome.settings.get(INTERVALS, {}), **cut}} if cut else {}),
+    }
 
 
 def _expected(fitted: Problem) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,61 +41,66 @@ _ENDS = ("interval_68", "interval_95", "open_68", "open_95")
 _MOVED = 2.0
 
 
-def assess_fit(
-    folder: Path, options: TrustOptions | None = None, say: Say = None, heard: Iterable[str] = ()
-) -> TrustDocument:
+def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = None) -> TrustDocument:
     """Assess a fit and store the result in its folder; return its document.
-
-    Warnings that were `heard` are not said again.
 
     Raises `SysidError` when the fit or its campaign cannot be used; nothing has been written then.
     """
     options = options or TrustOptions()
-    began = time.perf_counter()
-    with Journal(say, heard=heard) as journal:
+    with Journal(say) as journal:
         opened = open_fit(folder, options.campaign, 1 if options.dask else options.threads)
-        problem = opened.problem
-        journal.noun = opened.kind.words.trials
-        journal.fold(len(opened.whole.trials))
-        if not len(opened.space.free):
-            raise FitError(f"{folder}: nothing is free")
-        with executor(options.dask, 2) as where:
-            spread = spread_over(problem, where)
-            assessed = assess(
-                spread,
-                opened.result.cube[0],
-                wider=freed(opened.whole.fitted, opened.terms),
-                resamples=options.resamples,
-                seed=options.seed,
-                say=journal.tell,
-            )
-            floors = problem.floors(problem.space.full(assessed.linear.point[None])[0])
-            trials = influence(spread, assessed.noise, floors, assessed.without)
-        judged = assessed.adequacy
-        rows = _parameters(opened.result, opened.space, assessed)
-        lacks = judged.verdict == NOT_BY
-        without = opened.space.decode(trials.without)
-        _notice_trials(problem.names, without, trials, rows, opened.kind.words, lacks)
-        record = opened.result.provenance
-        same_file = record.get("campaign", {}).get("sha256") == opened.stated["sha256"]
-        findings = record.get("findings", ()) if same_file else ()
-        said = {one["code"]: one["sentence"] for one in findings}
-        for finding in misfit_finding(judged):
-            # Where the fit has said so its numbers stay: they are of its best set.
-            same = said.get(finding.code) if not finding.trials else None
-            journal.add(replace(finding, sentence=same or finding.sentence))
-        for row in rows if lacks else ():
-            _doubt(row, "the model does not explain the trials")
-        for finding in _doubts(opened.space.free, rows, assessed, opened.result.cube[0]):
-            journal.add(finding)
-        content, arrays = _document(opened, assessed, trials, floors, rows)
-        document = TrustDocument(
-            fit=opened.result.name, kind=opened.result.kind, warnings=journal.sentences(),
-            seconds=time.perf_counter() - began, **content,
-        )  # fmt: skip
+        document, arrays = assess_opened(opened, options, journal)
     # No value leaves without its interval.
     write_part(opened.folder, document, arrays, fit_texts(stating_intervals(opened.result, document)))
     return document
+
+
+def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) -> tuple[TrustDocument, Arrays]:
+    """Assess a fit with its trials at hand; return the document and its arrays, and write nothing.
+
+    The journal is open. It hears what is doubtful; the document has all that it has heard.
+    """
+    began = time.perf_counter()
+    problem = opened.problem
+    journal.noun = opened.kind.words.trials
+    journal.fold(len(opened.whole.trials))
+    if not len(opened.space.free):
+        raise FitError(f"{opened.folder}: nothing is free")
+    with executor(options.dask, 2) as where:
+        spread = spread_over(problem, where)
+        assessed = assess(
+            spread,
+            opened.result.cube[0],
+            wider=freed(opened.whole.fitted, opened.terms),
+            resamples=options.resamples,
+            seed=options.seed,
+            say=journal.tell,
+        )
+        floors = problem.floors(problem.space.full(assessed.linear.point[None])[0])
+        trials = influence(spread, assessed.noise, floors, assessed.without)
+    judged = assessed.adequacy
+    rows = _parameters(opened.result, opened.space, assessed)
+    lacks = judged.verdict == NOT_BY
+    without = opened.space.decode(trials.without)
+    _notice_trials(problem.names, without, trials, rows, opened.kind.words, lacks)
+    record = opened.result.provenance
+    same_file = record.get("campaign", {}).get("sha256") == opened.stated["sha256"]
+    findings = record.get("findings", ()) if same_file else ()
+    said = {one["code"]: one["sentence"] for one in findings}
+    for finding in misfit_finding(judged):
+        # The sentence of the fit stays: its numbers are of the best set.
+        same = said.get(finding.code) if not finding.trials else None
+        journal.add(replace(finding, sentence=same or finding.sentence))
+    for row in rows if lacks else ():
+        _doubt(row, "the model does not explain the trials")
+    for finding in _doubts(opened.space.free, rows, assessed, opened.result.cube[0]):
+        journal.add(finding)
+    content, arrays = _document(opened, assessed, trials, floors, rows)
+    document = TrustDocument(
+        fit=opened.result.name, kind=opened.result.kind, warnings=journal.sentences(),
+        seconds=time.perf_counter() - began, **content,
+    )  # fmt: skip
+    return document, arrays
 
 
 def _doubts(

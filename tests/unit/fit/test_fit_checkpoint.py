@@ -371,17 +371,21 @@ def assert_same_fit(found, whole):
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
 
 
+# How often each kind of fit is ended; the whole proof takes SYSID_MOMENTS=30 and some minutes per case.
+MOMENTS = int(os.environ.get("SYSID_MOMENTS", "3"))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("how", "moments"), [("killed", 30), ("interrupted", 20)])
+@pytest.mark.parametrize("how", ["killed", "interrupted"])
 @pytest.mark.parametrize("kind", FITS)
-def test_a_fit_that_is_ended_at_random_moments_goes_on_to_the_same_bits(tmp_path, kind, how, moments):
+def test_a_fit_that_is_ended_at_random_moments_goes_on_to_the_same_bits(tmp_path, kind, how):
     if kind == "dask":
         pytest.importorskip("distributed", reason="Dask comes with the extra 'cluster'")
     began = time.monotonic()
     subprocess.run(command_line(kind, tmp_path / "whole"), check=True, capture_output=True)
     longest, draw = time.monotonic() - began, random.Random(f"{kind} {how}")
     number, ended = 0, 0
-    while ended < moments:
+    while ended < MOMENTS:
         number += 1
         out, done = tmp_path / str(number), False
         while not done:
@@ -390,7 +394,7 @@ def test_a_fit_that_is_ended_at_random_moments_goes_on_to_the_same_bits(tmp_path
                 command_line(kind, out, *resume), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
             )
             try:
-                process.wait(draw.uniform(0.0, longest) if ended < moments else None)
+                process.wait(draw.uniform(0.0, longest) if ended < MOMENTS else None)
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGKILL if how == "killed" else signal.SIGINT)
                 ended += 1

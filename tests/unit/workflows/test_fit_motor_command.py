@@ -3,17 +3,22 @@
 import json
 import shutil
 import signal
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from fakes.places import SAMPLES
+from sysid.campaign import read_logs
 from sysid.fit.store import read_fit
 from sysid.journal import Finding, Journal, notice
+from sysid.loaders import load
 from sysid.motor import follow_up as motor_stages
 from sysid.recording import file_sha256
-from sysid.workflows.fit import _add_doubts
+from sysid.workflows.fit import _add_doubts, fit_campaign
+from sysid.workflows.options import FitOptions
+from sysid.workflows.report import write_report
 
 SMALL = (
     "--no-trust",
@@ -121,3 +126,22 @@ def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, mon
     turned = replace(fit, provenance={"search": {"axes": axes[::-1]}})
     assert [one.name for one in turned.searched] == axes[::-1]
     assert replace(fit, provenance={}).searched == ()
+
+
+@pytest.mark.parametrize("kind", ["motor", "gear-lf"])
+def test_a_fit_opens_each_log_once_and_its_report_once_more(kind, tmp_path, monkeypatch):
+    """With intervals for the motor; those of the gear would take longer than the test is worth."""
+    opened = Counter()
+
+    def counted(path, **options):
+        opened[Path(path).name] += 1
+        return load(path, **options)
+
+    monkeypatch.setattr(read_logs, "load", counted)
+    small = {"population": 8, "runs": 1, "max_generations": 1, "finish": "none", "quiet": True}
+    options = FitOptions(out=tmp_path / "fit", check=False, trust=kind == "motor", **small)
+    _, folder = fit_campaign(SAMPLES / kind / "campaign.toml", options)
+    assert len(opened) >= 8
+    assert set(opened.values()) == {1}
+    write_report(folder)
+    assert set(opened.values()) == {2}
