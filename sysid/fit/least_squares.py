@@ -22,7 +22,7 @@ from typing import Protocol
 import numpy as np
 
 from sysid.fit.breeders.breeder import Breeder, Start
-from sysid.fit.objective import Objective
+from sysid.fit.problem import Problem
 from sysid.fit.stopping import StopReason
 from sysid.fit.trial import Block
 from sysid.types import BoolArray, FloatArray
@@ -265,7 +265,7 @@ class MeanNrmse:
     `share` is the part of the window after the instant from which its times are counted [1].
     """
 
-    def __init__(self, objective: Objective, share: float = 1.0) -> None:
+    def __init__(self, objective: Problem, share: float = 1.0) -> None:
         blocks, trials = objective.blocks, objective.trials
         self._starts = np.array([block.start for block in blocks])
         self._weights = np.array([block.weight for block in blocks])
@@ -306,7 +306,7 @@ class LeastSquares(Breeder):
 
     needs_residuals = True
 
-    def __init__(self, objective: Objective, cube: FloatArray, cost: FloatArray) -> None:
+    def __init__(self, objective: Problem, cube: FloatArray, cost: FloatArray) -> None:
         """Begin at the best of a population: points (P, n_free) and costs (P,), best first."""
         self._objective = objective
         self._fronts = Fronts.at(_distinct(cube, STAGES[0][1]))

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
-from dataclasses import fields
+from copy import copy
+from dataclasses import dataclass, fields
 from functools import cache, cached_property
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.trial import (
@@ -28,6 +30,7 @@ from sysid.fit.trial import (
     first_cause,
 )
 from sysid.journal import notice, tell
+from sysid.parallel import Executor
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray, IntArray
 
@@ -295,6 +298,43 @@ class Problem(ABC):
             if not kept and (instrument or record.status in ("free", "fixed", "measured")):
                 rows[:, column[name]] = values[:, i]
         return self.completed(rows, fit)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored:
+    """A problem as work for an executor: cost, failure, simulations, and residuals if asked for."""
+
+    problem: Problem
+    residuals: bool
+
+    def __call__(self, rows: FloatArray) -> tuple[NDArray[Any], ...]:
+        further: list[FloatArray] = []
+        if self.residuals:
+            scored, *further = self.problem.examine(rows)
+        else:
+            scored = self.problem.evaluate(rows)
+        each, rest = divmod(scored.simulations, len(rows))
+        simulations = np.full(len(rows), each, dtype=np.int64)
+        simulations[:rest] += 1
+        return scored.cost, scored.failed, simulations, *further
+
+
+def scored_by(problem: Problem, executor: Executor) -> Problem:
+    """Return a problem, which travels once, whose candidates an executor scores."""
+    scored, examined = (executor.share(_Scored(problem, residuals)) for residuals in (False, True))
+
+    def evaluate(cube: FloatArray) -> Evaluation:
+        cost, failed, simulations = scored(cube)
+        return Evaluation(cost, failed, int(simulations.sum()))
+
+    def examine(cube: FloatArray) -> tuple[Evaluation, FloatArray]:
+        cost, failed, simulations, residuals = examined(cube)
+        return Evaluation(cost, failed, int(simulations.sum())), residuals
+
+    spread = copy(problem)
+    object.__setattr__(spread, "evaluate", evaluate)
+    object.__setattr__(spread, "examine", examine)
+    return spread
 
 
 @cache

@@ -26,7 +26,7 @@ from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.least_squares import LeastSquares
-from sysid.fit.objective import Objective, causes_of
+from sysid.fit.problem import Problem
 from sysid.fit.settings import SearchSettings, StopRule
 from sysid.fit.stopping import CutReason, StopReason
 from sysid.fit.trial import Evaluation, count_causes
@@ -79,7 +79,7 @@ _NO_HOOKS = Hooks()
 
 
 def run_one(
-    objective: Objective,
+    objective: Problem,
     settings: SearchSettings,
     run: int = 0,
     *,
@@ -110,7 +110,7 @@ def run_one(
 
 @dataclass
 class _Run:
-    objective: Objective
+    objective: Problem
     settings: SearchSettings
     run: int
     time_limit: float | None
@@ -193,7 +193,7 @@ class _Run:
         return rule
 
     def _bred(self, name: str, bred: Breeder, rule: StopRule) -> StageHistory:
-        began, causes = time.perf_counter(), causes_of(self.objective)
+        began, causes = time.perf_counter(), self.objective.causes
         evaluations_before, simulations_before = self.evaluations, self.simulations
         generations: list[Generation] = []
         failures: list[dict[str, int]] = []
@@ -266,7 +266,7 @@ def _child_seed(seed: int, stage: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=(stage,)).generate_state(1, np.uint32)[0])
 
 
-def _scored(objective: Objective, points: FloatArray) -> Evaluation:
+def _scored(objective: Problem, points: FloatArray) -> Evaluation:
     scored = objective.evaluate(points)
     if scored.cost.shape != (len(points),) or not np.all(np.isfinite(scored.cost)):
         bad = int(np.count_nonzero(~np.isfinite(scored.cost)))
@@ -278,7 +278,7 @@ def _scored(objective: Objective, points: FloatArray) -> Evaluation:
 
 
 def run_many(
-    objective: Objective,
+    objective: Problem,
     settings: SearchSettings,
     *,
     checkpoint: Checkpoint | None = None,
@@ -289,7 +289,7 @@ def run_many(
 
     Parameters
     ----------
-    objective : Objective
+    objective : Problem
         Scores from several threads when `at_once` is above 1.
     checkpoint : Checkpoint, optional
         Finished stages of the runs; see `run_one`.

@@ -4,7 +4,7 @@ import numpy as np
 
 from sysid.fit.search import run_one
 from sysid.fit.settings import SearchSettings, StopRule
-from sysid.fit.trial import Block, Evaluation, Trial
+from sysid.fit.trial import UNNAMED_CAUSE, Block, Evaluation, Trial
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 
 SHORT = StopRule(max_generations=12)
@@ -20,6 +20,8 @@ def table(n=3):
 
 class Bowl:
     """Distance to a point of the unit cube: minimum 0.01 there."""
+
+    causes = UNNAMED_CAUSE
 
     def __init__(self, target=(0.2, 0.5, 0.8), trials=6):
         self.target = np.array(target)
