@@ -179,12 +179,10 @@ def expected_table(document: CheckDocument) -> Table:
             numbers("at", lambda row: number(row.value)),
             numbers("half-width", lambda row: half_width(row.half_width), "%"),
             numbers("over bounds", lambda row: half_width(row.half_width_over_bounds), "%"),
-            numbers("effect", lambda row: mean_sigma((row.effect, row.interaction))),
             _VERDICT,
             _trades(document.parameters),
         ),
-        "half-width: 95 %, from noise alone, at the defaults and (median) over the bounds; effect: mean size "
-        "of the elementary effects on the NRMSE over the bounds (Morris), ± its standard deviation",
+        "half-width: 95 %, from noise alone, at the defaults and (median) over the bounds",
     )
 
 

@@ -339,9 +339,6 @@ class Expected(Part):
     # Relative 95 % half-width at `value`, and its median over points drawn from the bounds [1].
     half_width: float
     half_width_over_bounds: float
-    # Elementary effects on the NRMSE over the bounds (Morris 1991) [1]: mean size, standard deviation.
-    effect: float
-    interaction: float
     partners: list[Partner]
     # On the worse half-width.
     verdict: str

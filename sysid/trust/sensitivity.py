@@ -1,9 +1,7 @@
 """What a campaign is expected to determine, before a fit: at one point, and over the bounds.
 
 At a point: the linearized half-widths of `sysid.trust.linearized` with the noise that the instrument shows
-while nothing happens, walked through the filter. Over the bounds: Morris' elementary effects of the mean
-NRMSE (Morris 1991, by SALib), which say what moves the cost at all and what acts together with others, and
-the half-widths at points drawn from the bounds.
+while nothing happens, walked through the filter. Over the bounds: the half-widths at points drawn from them.
 """
 
 from __future__ import annotations
@@ -18,12 +16,10 @@ from sysid.fit.trial import NoiseModel
 from sysid.parameters import SearchSpace
 from sysid.trust.documents import Expected
 from sysid.trust.linearized import Linearized, bounded_information, gradient_noise, half_widths, linearized
-from sysid.trust.problem import jacobian, nrmse_of, scales
+from sysid.trust.problem import jacobian, scales
 from sysid.trust.verdicts import verdict
 from sysid.types import BoolArray, FloatArray
 
-# Trajectories of elementary effects, and levels of their grid.
-_TRAJECTORIES, _LEVELS = 10, 4
 # Points drawn from the bounds.
 ELSEWHERE = 8
 # Margin of the drawn points from the faces of the unit cube: a difference must not leave it.
@@ -53,28 +49,23 @@ def expectations(
     problem: Problem,
     point: FloatArray,
     noise: NoiseModel,
-    drawn: Sequence[Linearized] | None = None,
-    *,
-    seed: int = 0,
+    drawn: Sequence[Linearized] = (),
 ) -> tuple[Linearized, tuple[Expected, ...]]:
     """Return what the trials should determine of every free parameter, at a unit-cube point (n_free,).
 
-    With `drawn_outlooks` also over the bounds, and the elementary effects.
+    With `drawn_outlooks` also over the bounds.
     """
     view = outlook(problem, point, noise)
-    n = len(point)
-    elsewhere, effect, interaction = (np.full(n, np.nan) for _ in range(3))
-    if drawn is not None:
-        if drawn:
-            elsewhere = np.median([other.half_widths for other in drawn], axis=0)
-        effect, interaction = morris(problem, seed)
+    elsewhere = np.full(len(point), np.nan)
+    if drawn:
+        elsewhere = np.median([other.half_widths for other in drawn], axis=0)
     partners = view.information.partners(problem.space.names)
     value = problem.space.decode(point)
     return view, tuple(
         Expected(
             name=row.name, symbol=row.symbol, unit=row.unit, value=value[i], half_width=view.half_widths[i],
-            half_width_over_bounds=elsewhere[i], effect=effect[i], interaction=interaction[i],
-            partners=partners[i], verdict=verdict(float(np.fmax(view.half_widths[i], elsewhere[i]))),
+            half_width_over_bounds=elsewhere[i], partners=partners[i],
+            verdict=verdict(float(np.fmax(view.half_widths[i], elsewhere[i]))),
         )
         for i, row in enumerate(problem.space.free)
     )  # fmt: skip
@@ -90,27 +81,6 @@ def quick_expectations(problem: Problem) -> tuple[Expected, ...]:
     """Return what trials are expected to determine at the default values; takes a second."""
     noise = problem.correlation()
     return expectations(problem, nominal_point(problem.space), noise)[1]
-
-
-def morris(problem: Problem, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-    """Return mean size and standard deviation of the elementary effects on the mean NRMSE (n,), (n,) [1].
-
-    Over the whole range of each parameter. A point that cannot be simulated counts as the worst one.
-    """
-    from SALib.analyze import morris as analysis
-    from SALib.sample import morris as sampling
-
-    n = len(problem.space.free)
-    frame = {"num_vars": n, "names": list(problem.space.names), "bounds": [[0.0, 1.0]] * n}
-    points = sampling.sample(frame, _TRAJECTORIES, num_levels=_LEVELS, seed=seed)
-    values, failed = problem.residuals(np.ascontiguousarray(points))
-    weights = np.array([block.weight for block in problem.blocks])
-    cost = nrmse_of(problem.blocks, values) @ weights
-    if failed.all():
-        return np.full(n, np.nan), np.full(n, np.nan)
-    cost[failed] = cost[~failed].max()
-    effects = analysis.analyze(frame, points, cost, num_levels=_LEVELS, seed=seed)
-    return np.asarray(effects["mu_star"], dtype=np.float64), np.asarray(effects["sigma"], dtype=np.float64)
 
 
 def information_by_channel(problem: Problem, view: Linearized) -> FloatArray:

@@ -108,7 +108,7 @@ def test_a_parameter_that_no_channel_sees_is_told_by_nothing():
 def test_a_check_names_parameters_by_symbol():
     row = ExpectedParameter.model_construct(
         name="joint_dz", symbol="dz_j", unit="m", value=0.02, half_width=0.1, half_width_over_bounds=0.1,
-        effect=1.0, interaction=0.1, verdict="well", partners=[Partner(name="joint_dx", correlation=0.9)],
+        verdict="well", partners=[Partner(name="joint_dx", correlation=0.9)],
     )  # fmt: skip
     other = row.model_copy(update={"name": "joint_dx", "symbol": "dx_j", "partners": []})
     shown = expected_table(CheckDocument.model_construct(campaign={"name": "c"}, parameters=[row, other]))
