@@ -148,7 +148,7 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
     size = (len(problem.channels), len(problem.trials), len(kinds))
     squares, counts = np.zeros(size), np.zeros(size)
     for block, level in zip(blocks, noise, strict=True):
-        # Of a block without a sample that counts no noise is known.
+        # A block without a sample that counts has no known noise.
         if not level:
             continue
         part = (rest[block.start : block.stop] / level) ** 2

@@ -27,11 +27,11 @@ class Words:
     trials: str = "trials"
     # A further recording that `sysid check` could suggest.
     single: str = "trial"
-    # What makes a fit hang on one trial.
+    # The fault that makes a fit hang on one trial.
     misleads: str = "an error of that log"
     # A further remedy for a trial that fits unlike the others.
     remedy: str = ""
-    # What makes the prediction of one trial far worse than the others.
+    # The fault that makes the prediction of one trial far worse than the others.
     unlike: str = "a misread unit, clock or log"
 
 

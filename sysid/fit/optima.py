@@ -22,7 +22,7 @@ from sysid.types import BoolArray, FloatArray, IntArray
 
 # Relative difference of NRMSE that tells optima apart: twice what adaptive integration leaves uncertain.
 SAME_NRMSE = 2e-3
-# Of the unit cube's edge.
+# Distance along an axis of the unit cube within which two places are one, as a share of its edge [1].
 SAME_PLACE = 0.02
 # Relative difference of NRMSE within which searches end, three times CMA-ES's tolerance: none tells apart
 # what lies within it.
@@ -161,7 +161,8 @@ def agreement(
     determined = ~unfixed(runs, free) if free else np.ones(runs[0].best_point.shape, dtype=bool)
     cost = np.array([run.best[-1] for run in runs])
     place = np.stack([run.best_point for run in runs])
-    width = np.stack([_width(run) for run in runs])
+    # Half widths (n_free,) [1] over which a run's candidates scored as well as its best.
+    width = np.stack([np.asarray(np.ptp(_good([run], SAME_NRMSE), axis=0)) / 2 for run in runs])
     order = np.argsort(cost, kind="stable")
     optimum = np.full(len(runs), -1, dtype=np.int64)
     first: list[int] = []
@@ -182,11 +183,6 @@ def agreement(
 def beside_noise(nrmse: str, floor: float | None) -> str:
     """Return an NRMSE as people read it: beside what noise alone costs [1], where that is known."""
     return f"NRMSE {nrmse}" + (f" (noise alone: {100 * floor:.2f} %)" if floor else "")
-
-
-def _width(run: RunHistory) -> FloatArray:
-    """Return the half widths (n_free,) over which a run's candidates scored as well as its best [1]."""
-    return np.asarray(np.ptp(_good([run], SAME_NRMSE), axis=0)) / 2
 
 
 def _good(runs: Sequence[RunHistory], within: float) -> FloatArray:

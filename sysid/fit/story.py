@@ -16,7 +16,7 @@ P = TypeVar("P", bound=Problem)
 class Story(Generic[P]):
     """Answers about the trials of a problem; a model replaces those for which it knows more than these."""
 
-    # What trust counts as uncertain besides the noise.
+    # Quantities that trust counts as uncertain besides the noise.
     known_words: str = ""
 
     def __init__(self, problem: P) -> None:

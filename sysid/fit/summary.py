@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sysid.documents import channel_symbol, label
-from sysid.fit.history import RunHistory, StageHistory
+from sysid.fit.history import RunHistory
 from sysid.fit.optima import waterfall
 from sysid.fit.result import FitResult
 
@@ -30,17 +30,20 @@ def run_record(result: FitResult) -> dict[str, Any]:
             "simulations_per_second": simulations / wall_time if wall_time > 0 else None,
         },
         "runs": [
-            {"seed": run.seed, "nrmse": float(run.best[-1]), "stages": list(map(_stage_record, run.stages))}
+            {
+                "seed": run.seed,
+                "nrmse": float(run.best[-1]),
+                "stages": [
+                    {
+                        "algorithm": stage.algorithm, "generations": len(stage.cost),
+                        "candidates": stage.evaluations, "failed": int(stage.failed.sum()),
+                        "failures": stage.failures, "wall_time": stage.wall_time, "ended": stage.stop_reason,
+                    }
+                    for stage in run.stages
+                ],
+            }
             for run in result.runs
         ],
-    }
-
-
-def _stage_record(stage: StageHistory) -> dict[str, Any]:
-    return {
-        "algorithm": stage.algorithm, "generations": len(stage.cost), "candidates": stage.evaluations,
-        "failed": int(stage.failed.sum()), "failures": stage.failures, "wall_time": stage.wall_time,
-        "ended": stage.stop_reason,
     }  # fmt: skip
 
 

@@ -128,15 +128,11 @@ def stand_csv(
     columns += [0.058 + 0.004 * source.standard_normal(len(points.time)), None]
     lines = [_STAND_COLUMNS.format(thrust=thrust_unit)]
     for row in range(len(points.time)):
-        cells = ["" if column is None else _cell(float(column[row])) for column in columns]
-        lines.append(",".join(cells) + ",")
+        values = [np.nan if column is None else float(column[row]) for column in columns]
+        lines.append(",".join("" if np.isnan(value) else f"{value:.10g}" for value in values) + ",")
     return "\ufeff" + "\n".join(lines) + "\n"
 
 
 def _ratio(above: FloatArray, below: FloatArray) -> FloatArray:
     """Divide, 0 where nothing turns, as the program does."""
     return np.where(np.abs(below) > 1e-3, above / np.where(np.abs(below) > 1e-3, below, 1.0), 0.0)
-
-
-def _cell(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.10g}"

@@ -46,7 +46,7 @@ def check_campaign(
             for finding in ignored:
                 journal.add(finding)
             whole = kind.open(campaign, path, threads)
-            # What the campaign misstates is the cause of what may fail below.
+            # A misstatement of the campaign, told first, is the cause of what may fail below.
             story = kind.story(whole)
             seen = {"quality": story.quality()}
             journal.fold(len(whole.trials))

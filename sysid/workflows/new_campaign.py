@@ -18,7 +18,7 @@ from sysid.loaders import load
 from sysid.storage import check_file, write_file
 from sysid.trials.look import LogReport, inspect_recording
 
-# What the logs of a kind of campaign record, and what is asked for.
+# Kinds of logs that a kind of campaign takes, and the words that ask for them.
 _RECORDED = {
     "gear": ({"motion-capture"}, "drops under motion capture"),
     "motor": ({"thrust-stand", "load-cell", "static-map"}, "a motor on a thrust stand or load cell"),
@@ -26,7 +26,7 @@ _RECORDED = {
 # Numbers of servo pulses; a log within this of rest [µs] turns one way only.
 _US = {"minimum": 1000, "neutral": 1500, "maximum": 2000}
 _NEAR_REST = 20.0
-# Of the largest thrust among the logs; a log with less was taken without propeller.
+# Least share [1] of the largest thrust among the logs; a log with less was taken without propeller.
 _NO_THRUST = 0.02
 _TODO = "TODO"
 
@@ -66,8 +66,12 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, A
     drops = [report.drop for report in reports if report.drop is not None]
     most = max((_span(report, "thrust") for report in reports), default=0.0)
     units = {channel.unit for report in reports for channel in report.channels if channel.name == "command"}
-    supply = [_highest(report, "voltage") for report in reports if report.kind == "static-map"]
-    volts = [value for value in supply if math.isfinite(value)]
+    volts = [
+        channel.highest
+        for report in reports
+        for channel in report.channels
+        if report.kind == "static-map" and channel.name == "voltage" and math.isfinite(channel.highest)
+    ]
     both = any(_one_way(report) for report in reports)
     known = units == {"us"}
     numbers = _US if known else dict.fromkeys(_US, f'"{_TODO}"')
@@ -121,10 +125,6 @@ def _one_way(report: LogReport) -> str:
 
 def _span(report: LogReport, name: str) -> float:
     return sum(channel.highest - channel.lowest for channel in report.channels if channel.name == name)
-
-
-def _highest(report: LogReport, name: str) -> float:
-    return max((channel.highest for channel in report.channels if channel.name == name), default=math.nan)
 
 
 def _usual(words: Iterable[str | None]) -> str:
