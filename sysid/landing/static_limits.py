@@ -1,4 +1,4 @@
-"""The steepest slope on which a drone stays: closed forms for rigid legs, and a slow ramp with bending legs.
+"""The steepest slope on which a drone stays: closed forms for rigid legs, and bending legs set down at once.
 
 A drone that stands with both feet on a slope leaves it in one of two ways. It slides when friction is used
 up, or it tips over its front feet when the rear ones lose their load. Reverse thrust presses it on: it acts
@@ -19,22 +19,21 @@ creeps at ``eps_v r/(1 - r)``, ``r = tan φ/mu``, and reaches a given speed earl
 
 Bending legs
 ------------
-Legs that bend lower the front and shift the centre of mass over its feet, so the drone tips earlier. There
-is no closed form: the gear's kernel is taken up a slow ramp. Both legs bend alike and share the force
-along the slope about equally, while the rear one carries ever less weight: its feet slip first. Without
-thrust the drone then settles further until the rear feet lift, whatever the friction; pressed on by thrust it
-goes over as soon as they slip, so there friction decides as well.
+Legs that bend lower the front and shift the centre of mass over its feet, so the drone tips earlier. Both
+legs bend alike and share the force along the slope about equally, while the rear one carries ever less
+weight: its feet slip first. Without thrust the drone then settles further until the rear feet lift, whatever
+the friction; pressed on by thrust it goes over as soon as they slip, so there friction decides as well.
 
-A drone that is set down on the slope at once swings through its equilibrium and tips earlier still. With
-Table II's high friction, deg::
+A drone that is set down on the slope at once swings through its equilibrium and tips earlier still. There is
+no closed form: the gear's kernel is put on one slope after the other. With Table II's high friction, deg::
 
-    reverse thrust   rigid   slow ramp   ramp, feet that creep (8)   set down at once
-    0                35.2    28.6        28.6                        25.5
-    12 N             68.3    44.8        42.0                        39.5
+    reverse thrust   rigid   in balance   set down at once
+    0                35.2    28.6         25.5
+    12 N             68.3    44.8         39.5
 
-The "about 38" reported for a drone with bending legs under 12 N is no equilibrium: no friction makes a slow
-ramp end below 42 deg, and the ramp of another simulator (MuJoCo) ends at the same slope. A drone that is set
-down at once holds about that slope.
+The "about 38" reported for a drone with bending legs under 12 N is no equilibrium: no friction makes the
+balance end below 42 deg, and a slow ramp in another simulator (MuJoCo) ends at the same slope. A drone that
+is set down at once holds about that slope.
 """
 
 from __future__ import annotations
@@ -50,10 +49,7 @@ from sysid.errors import CampaignError
 from sysid.gear.model import (
     PARAMETERS,
     Drops,
-    GearTrajectory,
-    Status,
     pack,
-    simulate,
     simulate_population,
 )
 from sysid.gear.propulsion import Propulsion
@@ -62,30 +58,12 @@ from sysid.integrate.piecewise import PiecewiseCubic
 from sysid.landing.outcomes import Rules
 from sysid.landing.settings import LANDING_TOLERANCE
 from sysid.landing.simulate import ending_of
-from sysid.types import FloatArray
 
 How = Literal["slides", "tips", "stays"]
 
 VERTICAL = math.pi / 2
 
-# A stair of the ramp, and the width to which the last one is halved [rad].
-_STAIR = math.radians(1.0)
-_WIDTH = math.radians(0.02)
-# On a stair the drone settles in pieces of this length [s] until it stands, at most this number of them.
-_PIECE = 0.25
-_PIECES = 40
-# It stands when the body is slower than this [m/s, rad/s], and not faster than a piece before ...
-_STILL = 1e-4
-_STILL_TURN = 1e-3
-# ... and has fallen when it has turned, from the slope, by more than this [rad].
-_FALLEN = math.radians(60.0)
-# Slip at which the law (8) has reached 99.8 % of its limit, over eps_v [1].
-_FULL_SLIP = 500.0
-# Above this much slip a drone on the ramp has run away [m/s].
-_RUNS = 0.5
-# The kernel's bound per step: stiff legs ring, and near the limit a small force decides.
-_TOLERANCE = 1e-6
-# Between the slopes on which a drone is set down at once [rad].
+# Step between the slopes on which a drone is set down at once [rad].
 _PUT = math.radians(0.5)
 
 
@@ -168,34 +146,6 @@ def rigid_limits(
     return RigidLimits(slide, tip_limit(p.distance, p.height, p.ratio, p.values["foot_dx"]), creep)
 
 
-def ramp_limit(gear: Mapping[str, float], surface: str | Surface, reverse_thrust: float = 0.0) -> StaticLimit:
-    """Take a drone with its bending legs up a slow ramp until it slides or tips; see `rigid_limits`.
-
-    Within 0.1 deg for this path: set down on level ground under the thrust, then tilted. Refused when the
-    drone does not even stand on level ground, or the thrust lifts it.
-
-    Notes
-    -----
-    The ramp climbs in stairs of 1 deg; on each the drone settles, and the stair on which it leaves is halved
-    down to 0.02 deg. Dampers do not move an equilibrium, so they are raised to about critical: the drone
-    settles within a fraction of a second instead of ringing. Feet are slipping when a stair begins, so the
-    kinetic coefficient decides whether they stick. A drone that is put on a slope at once (`set_down_limit`),
-    or lands on it, overshoots and tips earlier. On a surface that never sticks the drone creeps on every
-    stair; there the slide limit is the slope on which a drone that slides, fast enough for the whole
-    friction, no longer slows down.
-    """
-    ramp = _Ramp(gear, find_surface(surface), reverse_thrust)
-    below, above, how = ramp.climb()
-    if not ramp.surface.switching:
-        if how == "slides":
-            above = min(above + 5 * _STAIR, VERTICAL - _WIDTH)
-        if ramp.runs(above if how == "slides" else below):
-            return StaticLimit(ramp.slide(0.0, above if how == "slides" else below), "slides")
-    if how == "stays":
-        return StaticLimit(VERTICAL, "stays")
-    return StaticLimit(0.5 * (below + above), how)
-
-
 def set_down_limit(
     gear: Mapping[str, float],
     surface: str | Surface,
@@ -205,8 +155,8 @@ def set_down_limit(
 
     Within 0.25 deg: half-way to the first slope of whole and half degrees on which it does not rest by the
     rules of a landing. It starts at rest, level with the slope, the legs unloaded and the thrust settled, and
-    swings as its dampers let it. With legs as lightly damped as the paper's the limit lies below the one of
-    `ramp_limit`.
+    swings as its dampers let it. Refused when the drone does not even stand on level ground, or the thrust
+    lifts it.
     """
     law, rules = find_surface(surface), Rules()
     rig = _Rig.of(gear, law, reverse_thrust)
@@ -227,8 +177,13 @@ def set_down_limit(
     if rests.all():
         return StaticLimit(VERTICAL, "stays")
     first = int(np.argmin(rests))
+    if first == 0:
+        raise CampaignError(
+            "static limits: the drone does not stand on level ground; check the stiffness of its legs "
+            "and the thrust"
+        )
     leaves: How = "tips" if np.isfinite(flown.flip[0][first]) else "slides"
-    return StaticLimit(max(float(slopes[first]) - 0.5 * _PUT, 0.0), leaves)
+    return StaticLimit(float(slopes[first]) - 0.5 * _PUT, leaves)
 
 
 def _friction(values: Mapping[str, float], surface: Surface) -> tuple[float, float]:
@@ -242,7 +197,6 @@ class _Rig:
     """What the closed forms need of a set."""
 
     values: dict[str, float]
-    weight: float
     ratio: float
     distance: float
     height: float
@@ -266,125 +220,7 @@ class _Rig:
             )
         return cls(
             values,
-            weight,
             reverse_thrust / weight,
             values["foot_dx"] - (front - rear) * out / mass,
             values["foot_dz"] - (front + rear) * deep / mass,
         )
-
-
-class _Ramp:
-    """A drone on a slope that grows slowly; states are (14,), frame N of the slope at hand."""
-
-    def __init__(self, gear: Mapping[str, float], surface: Surface, reverse_thrust: float) -> None:
-        self.surface = surface
-        rig = _Rig.of(gear, surface, reverse_thrust)
-        self.row = pack(_settling(rig.values), surface)
-        half = PiecewiseCubic.constant(-0.5 * reverse_thrust)
-        self.thrust = Propulsion(half, half)
-        self.slip = _FULL_SLIP * rig.values["slip_regularization"]
-        self.stairs: list[tuple[float, FloatArray]] = []
-        level = np.zeros(14)
-        level[1] = rig.values["foot_dz"]
-        span, depth = (rig.values[f"foot_d{a}"] - rig.values[f"joint_d{a}"] for a in "xz")
-        level[[4, 6]] = math.atan2(span, depth)
-        self.level = level
-
-    def climb(self) -> tuple[float, float, How]:
-        """Return a slope on which the drone stands, one on which it does not, and what happens there."""
-        state, how = self._settle(self.level, 0.0)
-        if state is None:
-            raise CampaignError(
-                "static limits: the drone does not stand on level ground; check the stiffness of its legs "
-                "and the thrust"
-            )
-        self.stairs = [(0.0, state)]
-        step, slope = _STAIR, 0.0
-        failed: How = "stays"
-        while step > _WIDTH / 2 and slope + step < VERTICAL:
-            state, how = self._settle(_turned(self.stairs[-1][1], step), slope + step)
-            if state is None:
-                failed = how
-                step *= 0.5
-            else:
-                slope += step
-                self.stairs.append((slope, state))
-                # After the first failure every stair is tried once: this is a bisection.
-                step = step if failed == "stays" else 0.5 * step
-        return slope, slope + 2 * step, failed
-
-    def _run(self, state: FloatArray, slope: float, pieces: int) -> GearTrajectory:
-        return simulate(
-            self.row, slope, None, _PIECE * np.arange(pieces + 1.0), state=state, surface=self.surface,
-            propulsion=self.thrust, tolerance=_TOLERANCE,
-        )  # fmt: skip
-
-    def _settle(self, state: FloatArray, slope: float) -> tuple[FloatArray | None, How]:
-        """Let the drone come to rest on a slope; None and what it did where it does not."""
-        begin = state
-        for _ in range(_PIECES):
-            run = self._run(state, slope, 1)
-            if run.status != Status.OK:
-                return None, "tips"
-            before, state = state, run.state[-1]
-            if abs(state[2] - slope) > _FALLEN:
-                return None, "tips"
-            if abs(_along(state[:2] - begin[:2], slope)) > 0.5:
-                return None, "slides"
-            speed = abs(_along(state[7:9], slope))
-            # At the limit motion grows from nothing, slowly at first.
-            turns = abs(state[9]) <= abs(before[9]) + 0.01 * _STILL_TURN
-            calm = math.hypot(state[7], state[8]) < _STILL and abs(state[9]) < _STILL_TURN and turns
-            calm = calm and before is not begin
-            # Creep is no motion that settles, but its speed does.
-            slower = speed <= abs(_along(before[7:9], slope)) + _STILL and speed < _RUNS
-            creeps = not self.surface.switching and slower and abs(state[9]) < _STILL_TURN
-            if calm or creeps:
-                still = state.copy()
-                still[7:] = 0.0
-                return still, "stays"
-        return None, "slides" if speed > _RUNS / 10 else "tips"
-
-    def runs(self, slope: float) -> bool:
-        """Whether a drone that slides down a slope fast enough for the whole friction gets faster."""
-        near, state = min(self.stairs, key=lambda stair: abs(stair[0] - slope))
-        state = _turned(state, slope - near)
-        state[7:9] = self.slip * math.cos(slope), -self.slip * math.sin(slope)
-        run = self._run(state, slope, 2)
-        gained = _along((run.state[2] - run.state[1])[7:9], slope)
-        return bool(gained > 0.0)
-
-    def slide(self, below: float, above: float) -> float:
-        """Return the slope [rad] at which `runs` changes."""
-        while above - below > _WIDTH:
-            middle = 0.5 * (below + above)
-            below, above = (below, middle) if self.runs(middle) else (middle, above)
-        return 0.5 * (below + above)
-
-
-def _settling(values: Mapping[str, float]) -> dict[str, float]:
-    """Return a set with the same equilibria, whose dampers are about critical for the body on its legs."""
-    mass, inertia = 0.5 * values["body_mass"], 0.5 * values["body_inertia"]
-    inertia += mass * values["foot_dz"] ** 2
-    damper = {
-        "leg_axial_damping": math.sqrt(values["leg_axial_stiffness"] * mass),
-        "leg_bending_damping": math.sqrt(values["leg_bending_stiffness"] * inertia),
-        # Of the foot alone, which bounces on the ground without the body.
-        "ground_damping": math.sqrt(values["ground_stiffness"] * values["leg_mass"]),
-    }
-    return dict(values) | {name: max(values[name], value) for name, value in damper.items()}
-
-
-def _along(vector: FloatArray, slope: float) -> float:
-    """Component of (x, z) down the slope."""
-    return float(vector[0] * math.cos(slope) - vector[1] * math.sin(slope))
-
-
-def _turned(state: FloatArray, angle: float) -> FloatArray:
-    """Return a state turned about the origin together with its slope."""
-    turned = state.copy()
-    c, s = math.cos(angle), math.sin(angle)
-    for k in (0, 7):
-        turned[k : k + 2] = c * state[k] + s * state[k + 1], c * state[k + 1] - s * state[k]
-    turned[2] += angle
-    return turned

@@ -59,7 +59,7 @@ _OUTLINE = (withStroke(linewidth=2.8, foreground="black"), Normal())
 
 @dataclass(frozen=True)
 class DrawnLimits:
-    """Static limits of a map: steepest slopes with stiff legs and with the set's bending legs [deg].
+    """Static limits of a map: steepest slopes with stiff legs and with the set's legs, set down [deg].
 
     The thrust presses the drone to the ground once the motors have settled [N].
     """

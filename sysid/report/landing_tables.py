@@ -26,13 +26,12 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
             degrees("rigid: slides", "rigid_slide_deg"),
             degrees("rigid: tips", "rigid_tip_deg"),
             degrees("rigid: creeps", "rigid_creep_deg") if creeps else None,
-            degrees("bending legs", "ramp_deg"),
-            words("", lambda row: row["ramp_how"]),
-            degrees("set down", "set_down_deg"),
+            degrees("bending legs", "set_down_deg"),
+            words("", lambda row: row["set_down_how"]),
         ),
         "rigid: closed forms for stiff legs"
         + (" (creeps: at 0.05 m/s)" if creeps else "")
-        + "; bending legs: as fitted, on a slow ramp; set down: the same, put on the slope at once",
+        + "; bending legs: as fitted, set down on the slope at once",
     )
 
 

@@ -16,7 +16,7 @@ from sysid.landing.impulse_maps import after_impulses, impulse_maps
 from sysid.landing.maps import Fleets, LandingMap, landing_maps, map_identity
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments, strangers
-from sysid.landing.static_limits import ramp_limit, rigid_limits
+from sysid.landing.static_limits import rigid_limits, set_down_limit
 from sysid.landing.store import MapFile, write_maps
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_lines, print_result, print_table
@@ -137,7 +137,7 @@ def limits_of(fleets: Fleets, controllers: Sequence[Controller]) -> list[dict[st
             if push <= -drone.weight:
                 continue  # the motors carry the drone, so there is no static limit
             rigid = rigid_limits(drone.gear, drone.surface, push).first.slope
-            bending = ramp_limit(drone.gear, drone.surface, push).slope
+            bending = set_down_limit(drone.gear, drone.surface, push).slope
             limit = DrawnLimits(push, float(np.degrees(rigid)), float(np.degrees(bending)))
             out.append({"surface": drone.surface, "controller": controller.label} | asdict(limit))
     return out

@@ -1,4 +1,4 @@
-"""Static limits of ranked sets: rigid legs in closed form, the fitted legs on a slow ramp."""
+"""Static limits of ranked sets: rigid legs in closed form, the fitted legs set down at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sysid.errors import ExportError
 from sysid.gear.surfaces import find_surface
-from sysid.landing.static_limits import ramp_limit, rigid_limits, set_down_limit
+from sysid.landing.static_limits import rigid_limits, set_down_limit
 from sysid.report.fold import print_result, print_table
 from sysid.report.landing_tables import limits_table
 from sysid.workflows.show import load_sets
@@ -17,7 +17,7 @@ from sysid.workflows.show import load_sets
 def static_limits(source: str | Path, thrusts: Sequence[float]) -> tuple[str, list[dict[str, object]]]:
     """Return the name of a gear's sets and the limits of every set under every thrust [N], for JSON.
 
-    Rigid legs, then the fitted ones of the set: on a slow ramp, and put on the slope at once.
+    Rigid legs, then the fitted ones of the set, put on the slope at once.
 
     Raises `ExportError` when the sets are not a gear's, or a thrust lifts the drone.
     """
@@ -29,16 +29,15 @@ def static_limits(source: str | Path, thrusts: Sequence[float]) -> tuple[str, li
     for rank in range(1, len(sets) + 1):
         values = sets.set_values(rank)
         for thrust in thrusts:
-            rigid, bending = rigid_limits(values, surface, thrust), ramp_limit(values, surface, thrust)
+            rigid, put = rigid_limits(values, surface, thrust), set_down_limit(values, surface, thrust)
             rows.append({
                 "set": rank,
                 "reverse_thrust": thrust,
                 "rigid_slide_deg": math.degrees(rigid.slide),
                 "rigid_tip_deg": math.degrees(rigid.tip),
                 "rigid_creep_deg": math.degrees(rigid.creep),
-                "ramp_deg": math.degrees(bending.slope),
-                "ramp_how": bending.how,
-                "set_down_deg": math.degrees(set_down_limit(values, surface, thrust).slope),
+                "set_down_deg": math.degrees(put.slope),
+                "set_down_how": put.how,
             })  # fmt: skip
     return sets.name, rows
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from fakes.simulators import from_mjcf
+from fakes.standing import tips_under_thrust, tips_without_thrust
 from sysid.errors import ExportError
 from sysid.export.mjcf import foot_inverse_mass, to_mjcf
 from sysid.export.published import table_2
 from sysid.gear.model import PARAMETERS, pack, simulate
-from sysid.landing.static_limits import ramp_limit
 
 mujoco = pytest.importorskip("mujoco", reason="the model of another simulator runs with the extra 'dev' only")
 
@@ -193,7 +193,7 @@ def test_a_standing_drone_sinks_and_stays():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("thrust", [0.0, 12.0])
-def test_another_simulator_finds_the_ramp_s_limit(thrust):
+def test_another_simulator_tips_where_the_balance_ends_on_a_slow_ramp(thrust):
     p = values("hf")
     model, data = load(to_mjcf(p, sticks=True))
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -207,7 +207,8 @@ def test_another_simulator_finds_the_ramp_s_limit(thrust):
         model.opt.gravity[:] = [p["gravity"] * math.sin(slope), 0.0, -p["gravity"] * math.cos(slope)]
         mujoco.mj_step(model, data, 20)
     # Behind the limit the fall begins slowly, so the ramp is 0.6 to 1.2 deg further when it shows.
-    late = math.degrees(slope - ramp_limit(p, "hf", thrust).slope)
+    balance = tips_under_thrust(p, thrust) if thrust else tips_without_thrust(p)
+    late = math.degrees(slope - balance)
     assert 0.0 < late < 1.6
 
 
