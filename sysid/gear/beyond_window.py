@@ -33,7 +33,7 @@ _SURE, _FAR = 4.0, 3e-3
 FlightPhase = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
-class Spread(TypedDict):
+class StopSpread(TypedDict):
     """A measured number beside the mean and deviation of simulated ones."""
 
     measured: float
@@ -44,8 +44,8 @@ class Spread(TypedDict):
 class Stop(TypedDict):
     """Place [m, down-slope] and time [s] of a drop's end since its first touchdown."""
 
-    place: Spread
-    time: Spread
+    place: StopSpread
+    time: StopSpread
     # Whether the measured body came to rest, and which share of the simulated ones did [1].
     measured_stops: bool
     share_stops: float
@@ -93,7 +93,7 @@ def stopping(
     }
 
 
-def _three(measured: float, simulated: FloatArray) -> Spread:
+def _three(measured: float, simulated: FloatArray) -> StopSpread:
     mean, sigma = (simulated.mean(), simulated.std()) if len(simulated) else (np.nan, np.nan)
     return {"measured": float(measured), "mean": float(mean), "sigma": float(sigma)}
 
