@@ -83,8 +83,8 @@ def pages(short):
     )
     compute_landing_maps(options)
     vary = "k_t=0.5:2:2,dx_f=1:1.3:2"
-    out, study = folder / "design-study.h5", StudySettings(*grid)
-    study_designs(DesignStudyOptions(PUBLISHED_GEAR, motors, vary, out, study=study, compute=compute))
+    file, study = folder / "design-study.h5", StudySettings(*grid)
+    study_designs(DesignStudyOptions(PUBLISHED_GEAR, motors, vary, file, study=study, compute=compute))
     for name in ("landing-map", "design-study"):
         out[name] = write_report(folder / f"{name}.h5")["report"]
     out["comparison"] = folder / "comparison.html"
