@@ -66,6 +66,7 @@ class BlockStore:
         self.notes: list[str] = []
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
+            self._closed = False
             self._lock = FileLock(self.folder / "lock")
             self._lock.acquire(timeout=_PATIENCE)
         except Timeout:
@@ -147,8 +148,9 @@ class BlockStore:
 
     def close(self) -> None:
         """Let other processes in, once; a folder without blocks is removed."""
-        if not self._lock.is_locked:
+        if self._closed:
             return
+        self._closed = True
         self._lock.release()
         if not self.kept(self.folder):
             shutil.rmtree(self.folder, ignore_errors=True)
@@ -195,7 +197,9 @@ class BlockStore:
         """Keep a finished block."""
         buffer = io.BytesIO()
         np.savez(buffer, *columns, block=np.array(self._block(name)))
-        write_file(self.folder / f"{name}.npz", buffer.getvalue(), self.ERROR)
+        # A thread that still ends after another one has failed leaves nothing in a folder that was given up.
+        if not self._closed:
+            write_file(self.folder / f"{name}.npz", buffer.getvalue(), self.ERROR)
 
 
 def in_use(folder: Path) -> bool | None:

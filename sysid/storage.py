@@ -176,7 +176,9 @@ def _swap(new: Path, path: Path) -> None:
             os.replace(aside / path.name, path)
             raise
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        # A second pass removes what a passing fault of the disk has kept from the first.
+        for _ in range(2):
+            shutil.rmtree(aside, ignore_errors=True)
 
 
 def check_file(path: str | Path, *, force: bool, error_type: type[SysidError] = SysidError) -> None:

@@ -189,7 +189,7 @@ def test_validation_takes_the_trials_that_were_not_fitted(fit):
     assert set(row.by_channel) == {"x_B", "z_B", "x_B_rate", "z_B_rate", "q_B"}
     assert row.third_contact > 0.05
     assert row.nrmse_third_contact > 0
-    assert row["stop"]["place"]["sigma"] < 0.05
+    assert row.stop["place"]["sigma"] < 0.05
     assert ValidationDocument.read(fit, "validation-synthetic-lf").flagged is found.flagged
     assert read_arrays(fit, "validation-synthetic-lf")["trials/1/simulated"].shape[0] == 2
 
