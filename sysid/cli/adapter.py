@@ -75,7 +75,7 @@ def command(app: typer.Typer, name: str, example: str) -> Callable[[Run], Run]:
         hints.pop("return")
 
         def call(**given: Any) -> None:
-            # What the user does not give keeps the default of the dataclass or function.
+            # An option that the user leaves out keeps the default of the dataclass or function.
             stated = {name: value for name, value in given.items() if value is not None}
             try:
                 with heard_interrupts():

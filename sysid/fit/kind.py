@@ -142,7 +142,7 @@ class Kind:
     laws : tuple of str
         Settings that a user may state instead of the campaign's; `under` reads them.
     story : type of Story
-        What is told of a problem's trials.
+        Makes the descriptions of a problem's trials.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """A fit problem: what search and trust need to know of the prepared trials of a campaign under one model.
 
 The search scores a `Problem`, trust takes its residuals, validation and report its predictions; none of them
-asks which model it is. What is told of its trials besides stands in `sysid.fit.story`, how it is made of a
+asks which model it is. Further descriptions of its trials stand in `sysid.fit.story`, how it is made of a
 campaign in `sysid.fit.kind`. A third model is one more folder, see `sysid.workflows.kinds.register`.
 """
 

@@ -120,7 +120,7 @@ class _Run:
     evaluations: int = 0
     simulations: int = 0
     before: float = 0.0  # wall time of the stages that have ended [s]
-    # Generation of the lowest cost, as a stage of its own.
+    # Generation of the lowest cost, in the form of a one-generation stage.
     best: StageHistory | None = None
 
     def history(self) -> RunHistory:

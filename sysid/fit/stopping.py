@@ -1,4 +1,4 @@
-"""Why a search ends, and how it is told to: its time limit and Ctrl-C."""
+"""Why a search ends, and what asks it to end: its time limit and Ctrl-C."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is told of a problem's trials: in `sysid check`, in the record of a fit, its report and validation."""
+"""Descriptions of a problem's trials: in `sysid check`, in the record of a fit, its report and validation."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ class PreparedDrop:
     before : (margin, 3) array
         x, z, pitch at the samples before the window, equal for every candidate.
     recording : Recording or None
-        The log, for what is told of it; it stays behind when the drop travels to another process.
+        The log, from which its quality is judged; it stays behind when the drop travels to another process.
     spectrum : Spectrum or None
         Of the five channels in the window and its margins before the filter; None without a filter.
     """

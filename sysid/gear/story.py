@@ -1,4 +1,4 @@
-"""What is told of drops: the quality of their logs, what they excite, their contacts and resting places."""
+"""Descriptions of drops: the quality of their logs, what they excite, their contacts and resting places."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sysid.types import FloatArray
 
 
 class GearStory(Story[GearProblem]):
-    """What is told of the drops of a problem."""
+    """Descriptions of the drops of a problem."""
 
     @property
     def accuracy(self) -> Mapping[str, Any]:

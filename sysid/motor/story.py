@@ -1,4 +1,4 @@
-"""What is told of a bench: the quality of its logs, what they excite, the points behind its static curves."""
+"""Descriptions of a bench: the quality of its logs, what they excite, the points behind its static curves."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _ADVICE = {
 
 
 class MotorStory(Story[MotorProblem]):
-    """What is told of the trials of a bench."""
+    """Descriptions of the trials of a bench."""
 
     known_words = "static curves and tares; ranges under parameters.measured"
 
