@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import shutil
+import threading
 import zipfile
 import zlib
 from collections.abc import Callable, Collection, Mapping
@@ -64,6 +65,9 @@ class BlockStore:
         self.folder = self.folder_of(result)
         self.identity: dict[str, object] = exact_json.plain(dict(identity))
         self.notes: list[str] = []
+        # Held while a block is written: a thread that still ends after another one has failed must not write
+        # into a folder that `close` removes.
+        self._writing = threading.Lock()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._closed = False
@@ -148,9 +152,10 @@ class BlockStore:
 
     def close(self) -> None:
         """Let other processes in, once; a folder without blocks is removed."""
-        if self._closed:
-            return
-        self._closed = True
+        with self._writing:
+            if self._closed:
+                return
+            self._closed = True
         self._lock.release()
         if not self.kept(self.folder):
             shutil.rmtree(self.folder, ignore_errors=True)
@@ -197,9 +202,9 @@ class BlockStore:
         """Keep a finished block."""
         buffer = io.BytesIO()
         np.savez(buffer, *columns, block=np.array(self._block(name)))
-        # A thread that still ends after another one has failed leaves nothing in a folder that was given up.
-        if not self._closed:
-            write_file(self.folder / f"{name}.npz", buffer.getvalue(), self.ERROR)
+        with self._writing:
+            if not self._closed:
+                write_file(self.folder / f"{name}.npz", buffer.getvalue(), self.ERROR)
 
 
 def in_use(folder: Path) -> bool | None:
