@@ -20,14 +20,17 @@ from sysid.gear.starts import start_roots
 from sysid.journal import notice
 from sysid.types import FloatArray
 
-# Starts that are drawn per set.
+# Number of starts that are drawn per set.
 _STARTS = 20
+# The rules of rest.
 _REST = Ending()
-# Rates of the measurement are taken over this time [s]: differences of single samples are noise.
+# Time over which rates of the measurement are taken [s]: differences of single samples are noise.
 _SMOOTH = 0.11
-# A flight phase shows the centre of mass from this number of samples on, with the feet this far up [m].
-_LEAST_FLIGHT, _CLEAR = 8, 4e-3
-# An offset is noticed beyond this number of standard errors and this length [m].
+# Least number of samples of a flight phase that shows the centre of mass.
+_LEAST_FLIGHT = 8
+# Least height of the feet in a flight phase [m].
+_CLEAR = 4e-3
+# Least number of standard errors, and least length [m], of an offset that is noticed.
 _SURE, _FAR = 4.0, 3e-3
 
 FlightPhase = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -76,26 +79,25 @@ def stopping(
     beyond = after[-1] + np.arange(1, round(1.5 * _REST.rest_time * motion.rate) + 1) / motion.rate
     clock = np.concatenate([after, beyond])
     jobs = Drops(np.array([drop.slope]), drop.initial_state[None], (clock,))
-    runs = simulate_population(many, jobs, body_states=starts[:, None], **simulation)
-    good = runs.status[:, 0] == 0
+    flown = simulate_population(many, jobs, body_states=starts[:, None], **simulation)
+    good = flown.status[:, 0] == 0
     length = float(after[-1] - after[0])
-    rests = np.nan_to_num(runs.rest[:, 0], nan=np.inf) < length
-    end = np.where(rests, runs.rest[:, 0], length)
+    rests = np.nan_to_num(flown.rest[:, 0], nan=np.inf) < length
+    end = np.where(rests, flown.rest[:, 0], length)
     since = drop.touchdown - after[0]
     index = np.minimum(np.searchsorted(after - after[0], end), len(after) - 1)
-    at = runs.samples[np.arange(len(many)), index, :2] @ tangent
-    place, moment = (at - touch)[good], (end - since)[good]
+    at = flown.samples[np.arange(len(many)), index, :2] @ tangent
+
+    def spread(measured: float, simulated: FloatArray) -> StopSpread:
+        mean, sigma = (simulated.mean(), simulated.std()) if good.any() else (np.nan, np.nan)
+        return {"measured": float(measured), "mean": float(mean), "sigma": float(sigma)}
+
     return {
-        "place": _three(measured_place - touch, place),
-        "time": _three(measured_time - drop.touchdown, moment),
+        "place": spread(measured_place - touch, (at - touch)[good]),
+        "time": spread(measured_time - drop.touchdown, (end - since)[good]),
         "measured_stops": stops,
         "share_stops": float(np.mean(rests[good])) if good.any() else float("nan"),
     }
-
-
-def _three(measured: float, simulated: FloatArray) -> StopSpread:
-    mean, sigma = (simulated.mean(), simulated.std()) if len(simulated) else (np.nan, np.nan)
-    return {"measured": float(measured), "mean": float(mean), "sigma": float(sigma)}
 
 
 def _measured(drop: PreparedDrop, after: FloatArray) -> tuple[float, float, bool]:
@@ -117,14 +119,24 @@ def _measured(drop: PreparedDrop, after: FloatArray) -> tuple[float, float, bool
 
 
 def centre_of_mass(drops: tuple[PreparedDrop, ...], campaign: GearCampaign) -> dict[str, float] | None:
-    """Return how far from the stated centre of mass the body turns in flight [m], with errors; warn where
-    sure.
+    """Return the point about which the body turns in flight, seen from the stated centre of mass [m].
 
-    Down-slope and up in the body while it hangs level. None where it flew too little after a contact. Flights
-    of some 50 ms determine it to centimetres only: they mostly show the velocity at their start. Legs with a
-    mass swing on after a contact and take the body off its parabola: of such a model nothing is sure.
+    Down-slope and up in the body while it hangs level, with errors; an offset that is sure is noticed. None
+    where the body flew too little after a contact. Flights of some 50 ms determine the point to centimetres
+    only: they mostly show the velocity at their start. Legs with a mass swing on after a contact and take the
+    body off its parabola: such a model makes no offset sure.
     """
-    flights = [part for drop in drops for part in _flights(drop)]
+    flights: list[FlightPhase] = []
+    for drop in drops:
+        motion = drop.motion
+        inside = (motion.time > drop.touchdown + 0.02) & (motion.time < drop.time[-1]) & motion.valid
+        clear = drop.feet.clearances(motion.x, motion.z, motion.pitch).min(axis=1)
+        free = inside & (np.nan_to_num(clear, nan=-1.0) > _CLEAR)
+        tracks = (motion.time, motion.x, motion.z, motion.pitch)
+        for first, last in runs(free):
+            if last - first >= _LEAST_FLIGHT:
+                time, x, z, pitch = (track[first:last] for track in tracks)
+                flights.append((time, x, z, pitch))
     noise = max(float(np.max(drop.flight.noise[:2])) for drop in drops)
     if sum(len(part[0]) for part in flights) < 4 * _LEAST_FLIGHT:
         return None
@@ -173,16 +185,3 @@ def turning_point(
     rest = float(np.sqrt(np.mean((target - design @ offset) ** 2)))
     error = max(noise, rest) * np.sqrt(np.diag(np.linalg.pinv(design.T @ design)))
     return -offset, np.asarray(error)
-
-
-def _flights(drop: PreparedDrop) -> list[FlightPhase]:
-    """Return (time, x, z, pitch) of the flights after the first contact in which the body turns."""
-    motion = drop.motion
-    inside = (motion.time > drop.touchdown + 0.02) & (motion.time < drop.time[-1]) & motion.valid
-    clear = drop.feet.clearances(motion.x, motion.z, motion.pitch).min(axis=1)
-    free = inside & (np.nan_to_num(clear, nan=-1.0) > _CLEAR)
-    return [
-        (motion.time[first:last], motion.x[first:last], motion.z[first:last], motion.pitch[first:last])
-        for first, last in runs(free)
-        if last - first >= _LEAST_FLIGHT
-    ]

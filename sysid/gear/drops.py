@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -35,54 +34,39 @@ from sysid.trials.fall import Feet, Flight, find_fall, fit_flight
 from sysid.trials.look import inspect_recording
 from sysid.types import FloatArray
 
-# A body leaves free fall visibly some 10 ms after the feet touch, because its legs yield first. Leaving it
-# `_EARLY` before or `_LATE` after the touchdown points to a wrong surface plane [s].
-_EARLY, _LATE, _YIELDING = 0.006, 0.035, 0.01
-# Five samples of fall determine g to some 10 %; a fall shorter than this [s] says little about it.
-_TELLS_GRAVITY, _GRAVITY_DOUBT = 0.06, 0.15
-# The least number of samples in a window.
+# Time from the touchdown to the visible end of free fall [s]: the legs yield first.
+_YIELDING = 0.01
+# Times before and after the touchdown beyond which the end of free fall points to a wrong surface plane [s].
+_EARLY, _LATE = 0.006, 0.035
+# Shortest fall that tells about g [s]: five samples determine it to some 10 %.
+_TELLS_GRAVITY = 0.06
+# Largest relative error of the measured g without a doubt [1].
+_GRAVITY_DOUBT = 0.15
+# Least number of samples in a window.
 _LEAST_SAMPLES = 10
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedDrop:
-    """One drop, ready to be simulated and compared.
-
-    Parameters
-    ----------
-    motion : PlanarMotion
-        The whole log, relative to a point of the surface.
-    touchdown, impact_speed : float
-        First contact on the log's clock [s], and the downward speed there [m/s].
-    time : (n,) array
-        Sample times of the window on the log's clock [s].
-    initial_state : (6,) array
-        x, z, pitch and rates at time[0] [SI].
-    simulated_time : (n + margin,) array
-        Samples that a simulation must give: the window and the filter's margin after it [s].
-    before : (margin, 3) array
-        x, z, pitch at the samples before the window, equal for every candidate.
-    recording : Recording or None
-        The log, from which its quality is judged; it stays behind when the drop travels to another process.
-    spectrum : Spectrum or None
-        Of the five channels in the window and its margins before the filter; None without a filter.
-    """
+    """One drop, ready to be simulated and compared; `motion` is the whole log, relative to the surface."""
 
     name: str
     use: TrialUse
     feet: Feet
     motion: PlanarMotion
     flight: Flight
-    touchdown: float
-    impact_speed: float
-    time: FloatArray
-    initial_state: FloatArray
-    simulated_time: FloatArray
-    before: FloatArray
+    touchdown: float  # first contact on the log's clock [s]
+    impact_speed: float  # downward speed at the touchdown [m/s]
+    time: FloatArray  # (n,) samples of the window on the log's clock [s]
+    initial_state: FloatArray  # (6,) x, z, pitch and rates at time[0] [SI]
+    simulated_time: FloatArray  # (n + margin,) samples of the window and of the filter's margin after it [s]
+    before: FloatArray  # (margin, 3) x, z, pitch before the window, equal for every candidate
     target: TrialTarget
+    # Spectrum of the five channels in the window and its margins before the filter; None without a filter.
     spectrum: Spectrum | None
+    # The log, for the judgement of its quality; it stays behind when the drop travels to another process.
     recording: Recording | None
-    provenance: dict[str, Any]
+    provenance: dict[str, object]
 
     @property
     def slope(self) -> float:
@@ -262,7 +246,13 @@ class _Preparation:
         assert self.rest is not None  # the campaign was validated: one of three ways is there
         motion = self._spatial(self.rest, None)
         centre = np.median(motion.position[motion.valid], axis=0)
-        depth = self.campaign.vehicle.foot_dz - _static_sag(self.campaign)
+        # At rest the body sinks on its nominal legs: axial, bending and ground compliance in series [m/N].
+        vehicle = self.campaign.vehicle
+        value = parameters_on(surface.law).nominal
+        compliance = 1 / value["leg_axial_stiffness"]
+        compliance += (vehicle.foot_dx - value["joint_dx"]) ** 2 / value["leg_bending_stiffness"]
+        compliance += 1 / value["ground_stiffness"]
+        depth = vehicle.foot_dz - 0.5 * vehicle.body_mass * vehicle.gravity * compliance
         return slope, centre - depth * np.array([np.sin(slope), 0.0, np.cos(slope)])
 
     def _window(self) -> slice:
@@ -388,13 +378,3 @@ class _Preparation:
         inside = np.flatnonzero(~away)
         later = motion.time[near][inside[-1] + 1 :] if len(inside) else motion.time[near]
         return float(later[0]) if len(later) else float("inf")
-
-
-def _static_sag(campaign: GearCampaign) -> float:
-    """Return how far the body sinks on its nominal legs at rest [m]: axial, bending and ground in series."""
-    value = parameters_on(campaign.surface.law).nominal
-    vehicle = campaign.vehicle
-    axial, bending, ground = (value[f"{name}_stiffness"] for name in ("leg_axial", "leg_bending", "ground"))
-    span = vehicle.foot_dx - value["joint_dx"]
-    compliance = 1 / axial + span**2 / bending + 1 / ground
-    return 0.5 * vehicle.body_mass * vehicle.gravity * compliance

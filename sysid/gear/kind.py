@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from sysid.gear.problem import (
 )
 from sysid.gear.starts import compared_noise
 from sysid.gear.story import GearStory
-from sysid.journal import Finding, notice, tell
+from sysid.journal import notice, tell
 from sysid.parameter_sets import ParameterRecord, parameter_records
 from sysid.types import FloatArray
 
@@ -37,19 +36,11 @@ _DERIVED = tuple(
         ("leg_rest_angle", "q_n", "rad", "Angle of a leg from the body at rest, outward from straight down."),
     )
 )
-# Further drops that a lab can make.
-SLOPES_DEG = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
-SPEEDS = (0.4, 0.6, 0.8, 1.0)
-# Distance of the rear foot's landing up-slope of the surface's point [m].
+# Slopes [deg] and touchdown speeds [m/s] of further drops that a lab can make.
+_SLOPES_DEG = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
+_SPEEDS = (0.4, 0.6, 0.8, 1.0)
+# Distance up-slope of the surface's point at which the rear foot of such a drop lands [m].
 _FOOT_FROM_POINT = 0.3
-
-
-def _derived(rows: FloatArray) -> FloatArray:
-    """Return leg length and rest angle (S, 2) of rows of the parameter table (S, n_par)."""
-    column = {name: rows[:, i] for i, name in enumerate(PARAMETERS)}
-    across = column["foot_dx"] - column["joint_dx"]
-    down = column["foot_dz"] - column["joint_dz"]
-    return np.column_stack([np.hypot(across, down), np.arctan2(across, down)])
 
 
 def _open(campaign: GearCampaign, path: Path, threads: int | None) -> GearProblem:
@@ -107,6 +98,10 @@ def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
         _DERIVED,
         stated=dict.fromkeys({*stated, *campaign.parameters.fixed}, "campaign"),
     )
+    column = {name: sets.values[:, i] for name, i in PARAMETERS.index.items()}
+    across = column["foot_dx"] - column["joint_dx"]
+    down = column["foot_dz"] - column["joint_dz"]
+    derived = [np.hypot(across, down), np.arctan2(across, down)]
     # Further facts that a simulator must know.
     settings = {
         "surface": campaign.surface.law,
@@ -125,7 +120,7 @@ def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
         sets=sets,
         rows=sets.values,
         records=records,
-        values=np.hstack([sets.values, _derived(sets.values)]),
+        values=np.column_stack([sets.values, *derived]),
         at_bound=np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED)))),
         nrmse=sets.cost,
         settings=settings,
@@ -140,8 +135,8 @@ def _candidates(problem: GearProblem, row: FloatArray) -> tuple[GearProblem, Seq
     """
     problem = replace(problem, tolerance=TRUST_TOLERANCE)
     drops, titles = [], []
-    for slope in SLOPES_DEG:
-        for speed in SPEEDS:
+    for slope in _SLOPES_DEG:
+        for speed in _SPEEDS:
             drop = _candidate(problem, row, np.radians(slope), speed)
             if drop is not None:
                 drops.append(drop)
@@ -177,16 +172,12 @@ def _candidate(problem: GearProblem, row: FloatArray, slope: float, speed: float
     )  # fmt: skip
     alone = replace(problem, drops=(drop,))
     samples, result = alone.simulate(row[None])
-    _, causes = alone.judge_samples(np.nan_to_num(samples), result)
-    if np.any(causes > 0) or np.any(result.reached < 1.0) or np.any(np.isfinite(result.flip)):
+    scored = alone.judge_samples(np.nan_to_num(samples), result)
+    if np.any(scored.cause > 0) or np.any(result.reached < 1.0) or np.any(np.isfinite(result.flip)):
         return None
     clean = alone.cost.prepared(samples)[0][0]
     noise = compared_noise(template) * np.random.default_rng(1).standard_normal(clean.shape)
     return replace(drop, target=replace(blank, measured=clean + noise))
-
-
-def _under(campaign: GearCampaign, settings: Mapping[str, Any]) -> tuple[GearCampaign, tuple[Finding, ...]]:
-    return on_surface(campaign, str(settings.get("surface", campaign.surface.law)))
 
 
 GEAR = Kind(
@@ -197,7 +188,7 @@ GEAR = Kind(
     story=GearStory,
     follow_up=_follow_up,
     candidates=_candidates,
-    under=_under,
+    under=lambda campaign, fit: on_surface(campaign, str(fit.get("surface", campaign.surface.law))),
     terms=(
         Term("axial spring hardens", ("leg_axial_hardening",)),
         Term("bending spring hardens", ("leg_bending_hardening",)),

@@ -68,15 +68,14 @@ COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
 # Bound of the weighted rms error of the seven rates per step that keeps every channel of the converged
 # references within 1e-4 of its deviation. The tolerance that a fit needs is stated by each surface.
 TIGHT_TOLERANCE = 1e-6
-
 # Tolerance of a single drop whose switches of modes are logged: the steps of a fit pass over short releases.
 _LOGGED_TOLERANCE = 3e-5
-
+# Longest step [s].
 _LONGEST_STEP = 5e-3
-# Room for events of a single simulation at first; where there are more it is repeated with more room.
+# First room for events of a single simulation, which is repeated with more room where there are more.
 _MARKS = 1000
-# Lanes of the population driver: one register of eight doubles where the CPU has it, two or four registers
-# elsewhere.
+# Drops that one call of the population driver integrates side by side: one register of eight doubles where
+# the CPU has it, two or four registers elsewhere.
 _LANES = 8
 _driver = lru_cache(maxsize=16)(kernel.drop_driver)
 _force_reader = lru_cache(maxsize=8)(kernel.force_reader)
@@ -114,22 +113,15 @@ class Status(IntEnum):
 class Ending:
     """When a drop is over, and what counts as rest and as a flip.
 
-    Parameters
-    ----------
-    at : {"clock", "rest", "both feet"}
-        Run to the end of the clock; end at rest or when flipped; end then or when both feet have touched.
-    rest_speed, rest_turn, rest_time : float
-        At rest while the body stays below this speed [m/s] and this turn rate [rad/s] for this time [s];
-        under thrust not before `Propulsion.settled`.
-    flip_angle : float
-        Flipped beyond this angle from the slope [rad].
+    A body that stays slow for a while is at rest, under thrust not before `Propulsion.settled`.
     """
 
+    # The end of the clock; rest or a flip; rest, a flip or the touch of both feet.
     at: Literal["clock", "rest", "both feet"] = "clock"
-    rest_speed: float = 0.05
-    rest_turn: float = 0.2
-    rest_time: float = 0.2
-    flip_angle: float = math.radians(80.0)
+    rest_speed: float = 0.05  # largest speed at rest [m/s]
+    rest_turn: float = 0.2  # largest turn rate at rest [rad/s]
+    rest_time: float = 0.2  # least time below both [s]
+    flip_angle: float = math.radians(80.0)  # angle from the slope beyond which a body has flipped [rad]
 
     @property
     def packed(self) -> tuple[float, ...]:
@@ -166,69 +158,42 @@ class Event:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GearTrajectory(Brief):
-    """One simulated drop on its sample times [s].
+    """One simulated drop on its sample times [s]; columns of forces and thrust are rear and front [N].
 
-    Parameters
-    ----------
-    state : (n, 14) array
-        The seven `COORDINATES` [m, rad], then their rates, frame N; NaN after a failure.
-    normal_force, friction_force : (n, 2) array
-        Force of the surface on the rear and the front feet along its normal and down-slope [N].
-    reached : float
-        Time integrated before the end or a failure [s].
-    rhs_evaluations : int
-        Right-hand sides spent.
-    switches : (n_switches, 7) array
-        Mode switches on a high-friction surface: time since the start [s], foot (0 rear, 1 front), 1 if it
-        sticks from then on and 0 if it slips, friction available to the rear and front foot and required by
-        them [N]; no rows on a low-friction surface. The available friction belongs to the mode that the foot
-        has or has just lost: mu_k F_n where a slip came to zero, mu_s F_n where a stuck foot was released. A
-        slipping foot that fails to stick slips back: a row with 0 for a foot that had not stuck. A release
-        that heals within a step may be missed (`sysid.gear.surfaces.high_friction`).
-    events : tuple of Event
-        Touchdowns, lift-offs, slips, sticks, flip and rest in the order of time, each as exact as the
-        trajectory: located to 1e-6 s at `TIGHT_TOLERANCE`.
-    thrust : (n, 2) array
-        Of the rear and front pair of motors [N].
+    Notes
+    -----
+    Columns of `switches`, the mode switches on a high-friction surface: time since the start [s], foot (0
+    rear, 1 front), 1 if it sticks from then on and 0 if it slips, friction available to the rear and front
+    foot and required by them [N]. The available friction belongs to the mode that the foot has or has just
+    lost: mu_k F_n where a slip came to zero, mu_s F_n where a stuck foot was released. A slipping foot that
+    fails to stick slips back: a row with 0 for a foot that had not stuck. A release that heals within a step
+    may be missed (`sysid.gear.surfaces.high_friction`).
     """
 
     time: FloatArray
-    state: FloatArray
-    normal_force: FloatArray
-    friction_force: FloatArray
+    state: FloatArray  # (n, 14) the seven `COORDINATES`, then their rates, frame N [SI]; NaN after a failure
+    normal_force: FloatArray  # (n, 2) force of the surface on the feet along its normal
+    friction_force: FloatArray  # (n, 2) the same down-slope
     status: Status
-    reached: float
+    reached: float  # time integrated before the end or a failure [s]
     rhs_evaluations: int
-    switches: FloatArray
-    events: tuple[Event, ...]
-    thrust: FloatArray
+    switches: FloatArray  # (n_switches, 7), see Notes
+    events: tuple[Event, ...]  # in the order of time, located to 1e-6 s at `TIGHT_TOLERANCE`
+    thrust: FloatArray  # (n, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class Drops:
-    """Drops that every candidate is simulated on.
+    """Drops that every candidate is simulated on; refused with CampaignError where they make no sense."""
 
-    Parameters
-    ----------
-    slope : (D,) array
-        Angle of each surface [rad], positive falls toward +x.
-    body_state : (D, 6) array
-        x_B, z_B, q_B and their rates at each drop's first sample, frame N [m, rad, s].
-    time : sequence of D arrays
-        Sample times of each drop [s], increasing; spacing may vary.
-    propulsion : Propulsion, or sequence of D of them or None, optional
-        Thrust of every drop, or of each; none by default.
-
-    Derived are `clock` (n_total,), the sample times since each drop's start [s]; `offset` (D + 1,): drop d
-    has the samples offset[d]:offset[d + 1]; `segments` and `plans`, the thrust as the kernel reads it.
-    """
-
-    slope: FloatArray
-    body_state: FloatArray
-    time: Sequence[FloatArray]
+    slope: FloatArray  # (D,) angle of each surface [rad], positive falls toward +x
+    body_state: FloatArray  # (D, 6) x_B, z_B, q_B and their rates at the first sample, frame N [SI]
+    time: Sequence[FloatArray]  # D arrays of increasing sample times [s]; spacing may vary
+    # Thrust of every drop, or of each; None: no thrust.
     propulsion: Propulsion | Sequence[Propulsion | None] | None = None
-    clock: FloatArray = field(init=False)
-    offset: IntArray = field(init=False)
+    clock: FloatArray = field(init=False)  # (n_total,) sample times since each drop's start [s]
+    offset: IntArray = field(init=False)  # (D + 1,); drop d has the samples offset[d]:offset[d + 1]
+    # The thrust as the kernel reads it.
     segments: FloatArray = field(init=False)
     plans: FloatArray = field(init=False)
 
@@ -275,45 +240,20 @@ class Drops:
 
 @dataclass(frozen=True, eq=False)
 class PopulationSamples:
-    """What P candidates do on D drops.
+    """What P candidates do on D drops; a state is x_B, z_B, q_B and their rates, frame N [SI]."""
 
-    Parameters
-    ----------
-    samples : (P, n_total, 6) array
-        x_B, z_B, q_B and their rates at every sample of every drop, concatenated in drop order; NaN after a
-        failure.
-    reached : (P, D) array
-        Share of the drop's time integrated before a failure, 1 without one.
-    status : (P, D) int8 array
-        `Status` codes.
-    rhs_evaluations : (P, D) int64 array
-        Right-hand sides spent.
-    switches : (P, D) int64 array
-        Mode switches on a high-friction surface; at a fit's tolerance up to a fifth of them are missed.
-    first_contact : (P, D, 2) array
-        First touchdown of the rear and of the front foot since the drop's start [s]; NaN where none.
-    flip, rest : (P, D) array
-        When the body flipped, and from when on it stayed at rest, by `Ending` [s], the latter to a step's
-        length; NaN where it did not.
-    contact_state : (P, D, 2, 6) array
-        x_B, z_B, q_B and their rates at the two first touchdowns.
-    end_state : (P, D, 6) array
-        The same at the end: of the clock, of a failure, or where a drop was to end at rest or flipped.
-    marks : (n, 7) array
-        The events of a single drop as the kernel writes them.
-    """
-
-    samples: FloatArray
-    reached: FloatArray
-    status: NDArray[np.int8]
-    rhs_evaluations: IntArray
+    samples: FloatArray  # (P, n_total, 6) state at every sample, drop after drop; NaN after a failure
+    reached: FloatArray  # (P, D) share of the drop's time integrated before a failure, 1 without one
+    status: NDArray[np.int8]  # (P, D) `Status` codes
+    rhs_evaluations: IntArray  # (P, D)
+    # (P, D) mode switches on a high-friction surface; at a fit's tolerance up to a fifth of them are missed.
     switches: IntArray
-    first_contact: FloatArray
-    flip: FloatArray
-    rest: FloatArray
-    contact_state: FloatArray
-    end_state: FloatArray
-    marks: FloatArray
+    first_contact: FloatArray  # (P, D, 2) of the rear and front foot since the drop's start [s]; NaN: none
+    flip: FloatArray  # (P, D) when the body flipped, by `Ending` [s]; NaN: never
+    rest: FloatArray  # (P, D) from when on it stayed at rest, to a step's length [s]; NaN: never
+    contact_state: FloatArray  # (P, D, 2, 6) state at the two first touchdowns
+    end_state: FloatArray  # (P, D, 6) state at the end of the clock, at a failure, or at an earlier `Ending`
+    marks: FloatArray  # (n, 7) the events of a single drop as the kernel writes them
 
 
 def _frozen(values: ArrayLike) -> FloatArray:
@@ -373,12 +313,25 @@ def simulate(
     if isinstance(parameters, Mapping):
         parameters = pack(parameters, law)
     rows = np.asarray(parameters, dtype=np.float64)[None]
-    body, legs = _one_start(body_state, state)
+    legs = np.empty(0)  # legs at rest in the body
+    if state is not None:
+        start = np.asarray(state, dtype=np.float64)
+        if start.shape != (14,) or not np.isfinite(start).all():
+            raise CampaignError(
+                f"state: found shape {start.shape}; give 14 finite numbers, coordinates first"
+            )
+        coordinates, rates = start[:7], start[7:]
+        body_state = np.concatenate([coordinates[:3], rates[:3]])
+        legs = np.concatenate([coordinates[3:], rates[3:]])
+    if body_state is None:
+        raise CampaignError("simulate: no initial state; give body_state (6 numbers) or state (14 numbers)")
+    body = np.atleast_2d(np.asarray(body_state, dtype=np.float64))
     clock = np.asarray(time, dtype=np.float64)
     drops = Drops(np.array([slope]), body, (clock,), propulsion)
-    start, room = (drops.body_state[None], legs), _MARKS
+    room = _MARKS
     while True:
-        result = _run(rows, drops, start, law, tolerance, columns=16, threads=1, ending=ending, room=room)
+        starts = (drops.body_state[None], legs)
+        result = _run(rows, drops, starts, law, tolerance, columns=16, threads=1, ending=ending, room=room)
         if len(result.marks) < room:
             break
         room *= 8
@@ -391,7 +344,10 @@ def simulate(
     if propulsion is not None:
         first = np.fmin.reduce(result.first_contact[0, 0], initial=np.inf)
         thrust = propulsion.at(clock - clock[0], float(first))
-    switches, happened = _log(result.marks)
+    marks = result.marks[np.argsort(result.marks[:, 0], kind="stable")]
+    happened, kind, foot = marks[:, :3].T
+    modes = np.isin(kind, (EventKind.SLIP, EventKind.STICK))
+    names: tuple[Literal["rear", "front", "body"], ...] = ("rear", "front", "body")
     return GearTrajectory(
         time=clock,
         state=states,
@@ -400,40 +356,13 @@ def simulate(
         status=Status(int(result.status[0, 0])),
         reached=float(result.reached[0, 0] * (clock[-1] - clock[0])),
         rhs_evaluations=int(result.rhs_evaluations[0, 0]),
-        switches=switches,
-        events=happened,
+        switches=np.column_stack([happened, foot, kind == EventKind.STICK, marks[:, 3:]])[modes],
+        events=tuple(
+            Event(float(t), EventKind(int(k)), names[int(f)])
+            for t, k, f in zip(happened, kind, foot, strict=True)
+        ),
         thrust=thrust,
     )
-
-
-def _one_start(body_state: ArrayLike | None, state: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
-    """Return the body (1, 6) and the legs (8,) of a single drop's start; no legs: they start at rest."""
-    legs = np.empty(0)
-    if state is not None:
-        start = np.asarray(state, dtype=np.float64)
-        if start.shape != (14,) or not np.isfinite(start).all():
-            raise CampaignError(
-                f"state: found shape {start.shape}; give 14 finite numbers, coordinates first"
-            )
-        coordinates, rates = start[:7], start[7:]
-        body_state = np.concatenate([coordinates[:3], rates[:3]])
-        legs = np.concatenate([coordinates[3:], rates[3:]])
-    if body_state is None:
-        raise CampaignError("simulate: no initial state; give body_state (6 numbers) or state (14 numbers)")
-    return np.atleast_2d(np.asarray(body_state, dtype=np.float64)), legs
-
-
-def _log(marks: FloatArray) -> tuple[FloatArray, tuple[Event, ...]]:
-    """Return the switches and the events of a single drop, in the order of time."""
-    marks = marks[np.argsort(marks[:, 0], kind="stable")]
-    time, kind, foot = marks[:, :3].T
-    modes = np.isin(kind, (EventKind.SLIP, EventKind.STICK))
-    switches = np.column_stack([time, foot, kind == EventKind.STICK, marks[:, 3:]])[modes]
-    names: tuple[Literal["rear", "front", "body"], ...] = ("rear", "front", "body")
-    events = (
-        Event(float(t), EventKind(int(k)), names[int(f)]) for t, k, f in zip(time, kind, foot, strict=True)
-    )
-    return switches, tuple(events)
 
 
 class Simulation(TypedDict):

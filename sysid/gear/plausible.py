@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from sysid.campaign import GearCampaign, GearTrial
 from sysid.journal import notice
 from sysid.trials.look import DropReport
 
-# An inclinometer and three markers at least 0.3 m apart, placed to 1 mm, agree to 0.3 deg; the sample drops
-# agree to 0.005 deg. A body at rest leans on bent legs [rad].
-_BY_MARKERS, _BY_REST = np.radians(0.5), np.radians(10.0)
-# A shallower board shows no direction [rad].
+# Largest difference of two slopes that is no contradiction [rad], by markers: an inclinometer and three
+# markers at least 0.3 m apart, placed to 1 mm, agree to 0.3 deg; the sample drops agree to 0.005 deg.
+_BY_MARKERS = np.radians(0.5)
+# The same by the tilt at rest [rad]: the body leans on bent legs.
+_BY_REST = np.radians(10.0)
+# Least slope of a board that shows a direction [rad].
 _SHALLOW = np.radians(2.0)
 # Limits of sqrt(I/m) over the distance of a foot [1]; the F450 of the paper has 0.57, a rod of that length
-# 0.58. Masses off by a factor of ten are outside, and so are inertias.
+# 0.58. Masses and inertias off by a factor of ten are outside.
 _GYRATION = (0.3, 1.2)
-# Mass over the cube of that distance [kg/m³]: the F450 has 200, and ten times that is a solid stone.
+# Limits of the mass over the cube of that distance [kg/m³]: the F450 has 200, a solid stone ten times that.
 _DENSITY = (30.0, 1200.0)
 
 
@@ -28,8 +28,16 @@ def notice_contradictions(campaign: GearCampaign, trial: GearTrial, seen: DropRe
         return
     if trial.slope is not None and seen.slope is not None:
         notice_slope(trial.name, trial.slope, seen.slope, seen.slope_by_markers)
-    for what, stated, shown in _contradictions(campaign, trial, seen):
-        _notice(trial.name, what, stated, shown)
+    capture = campaign.capture
+    if seen.up != capture.up:
+        _notice(trial.name, "up", f'"{capture.up}"', f'"{seen.up}"')
+    down_slope = trial.down_slope or capture.down_slope
+    steep = min(seen.slope or 0.0, np.inf if trial.slope is None else trial.slope) > _SHALLOW
+    if seen.down_slope and not seen.down_slope_doubt and steep and seen.down_slope != down_slope:
+        _notice(trial.name, "down-slope", f'"{down_slope}"', f'"{seen.down_slope}"')
+    body = trial.rigid_body or trial.log_options.rigid_body or capture.rigid_body
+    if body not in (None, seen.body):
+        _notice(trial.name, "rigid-body", f'"{body}"', f'that "{seen.body}" falls')
 
 
 def notice_slope(trial: str, stated: float, shown: float, by_markers: bool = True) -> None:
@@ -53,21 +61,6 @@ def _notice(trial: str, what: str, stated: str, shown: str, size: float = 0.0) -
         trial=trial,
         size=size,
     )
-
-
-def _contradictions(
-    campaign: GearCampaign, trial: GearTrial, seen: DropReport
-) -> Iterator[tuple[str, str, str]]:
-    capture = campaign.capture
-    if seen.up != capture.up:
-        yield "up", f'"{capture.up}"', f'"{seen.up}"'
-    down_slope = trial.down_slope or capture.down_slope
-    steep = min(seen.slope or 0.0, np.inf if trial.slope is None else trial.slope) > _SHALLOW
-    if seen.down_slope and not seen.down_slope_doubt and steep and seen.down_slope != down_slope:
-        yield "down-slope", f'"{down_slope}"', f'"{seen.down_slope}"'
-    body = trial.rigid_body or trial.log_options.rigid_body or capture.rigid_body
-    if body not in (None, seen.body):
-        yield "rigid-body", f'"{body}"', f'that "{seen.body}" falls'
 
 
 def notice_odd_vehicle(campaign: GearCampaign) -> None:

@@ -1,4 +1,11 @@
-"""The drops of a campaign as a fit problem: searched, scored, differentiated, predicted."""
+"""The drops of a campaign as a fit problem: searched, scored, differentiated, predicted.
+
+A drop is lost where its simulation fails, which has scored a penalty already (`sysid.fit.nrmse`). Two more
+kinds run to the end but describe no drop that was measured: no foot ever touches, or the body slides off the
+board. Both keep their NRMSE, on a surface that goes on for ever, and pay `FAILED_NRMSE` for the share of the
+window that is missing: a candidate that comes nearer to the board, or leaves it later, scores less, and one
+that just reaches the board's end pays nothing.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +15,21 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sysid.campaign import GearCampaign
 from sysid.errors import CampaignError
-from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse, PopulationCost
+from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse
 from sysid.fit.problem import Problem, tell_of_kernel
 from sysid.fit.result import FitResult
 from sysid.fit.trial import Block, NoiseModel, Prediction, Scores, Trial
 from sysid.gear.drops import PreparedDrop, cost_channels
-from sysid.gear.lost_drops import CAUSES, lost_drops
 from sysid.gear.model import (
     PARAMETERS,
     SURFACES,
     Drops,
     PopulationSamples,
     Simulation,
+    Status,
     find_surface,
     parameters_on,
     prepare,
@@ -44,18 +50,27 @@ from sysid.parameters import SearchSpace
 from sysid.trust.linearized import noise_model
 from sysid.types import FloatArray
 
-# Simulations of trust are this exact: at the fit's 3e-4 the integration's error moves a sum of squares by as
-# much as one standard deviation of a parameter does.
+# Tolerance of simulations that trust compares: at the fit's 3e-4 the integration's error moves a sum of
+# squares by as much as one standard deviation of a parameter does.
 TRUST_TOLERANCE = 2e-5
-# Touchdowns of one foot closer than this count as one [s].
+# Least time between two touchdowns of one foot that count as two [s].
 ONE_TOUCHDOWN = 5e-3
-# A body falls where forces other than its weight accelerate it less than this [m/s²]; it is at rest below
-# this speed [m/s] and pitch rate [rad/s].
-_FALLING, _AT_REST = 1.5, (0.1, 0.2)
+# Largest acceleration by forces other than the weight at which a body falls [m/s²].
+_FALLING = 1.5
+# Largest speed [m/s] and pitch rate [rad/s] of a body at rest.
+_AT_REST = (0.1, 0.2)
 # Rows that are choices of the model rather than measurements.
 CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", *PARAMETERS.group("front leg", "term"))
 # Rows on which no drop depends: motors do not run in one.
 NEVER_IN_DROPS = ("thrust_point_dx",)
+# Causes of a lost drop, in the order in which a candidate with several of them is counted. Too expensive: a
+# contact or leg that is too stiff, or (on high friction mostly) too many bounces and mode switches.
+CAUSES = ("blew_up", "too_expensive", "step_collapsed", "never_touched", "left_the_board")
+_OF_STATUS = {Status.BLEW_UP: 1, Status.TOO_EXPENSIVE: 2, Status.STEP_COLLAPSED: 3}
+_NEVER_TOUCHED, _LEFT_BOARD = 4, 5
+# Way from the touchdown, in lengths of the board, beyond which a body has left it: where the window ends, a
+# candidate near the truth may cross the board's end a little before the measured body does.
+_BEYOND_BOARD = 1.05
 
 
 @cache
@@ -133,15 +148,14 @@ def measured_values(campaign: GearCampaign) -> dict[str, float]:
 class GearProblem(Problem):
     """Drops of one campaign under one friction law; see `sysid.fit.problem.Problem`.
 
-    The campaign's cost, surface and stated values count; the numbers do not depend on the threads (all cores
-    by default). The tolerance, by default the campaign's, bounds the simulation's error per step
-    (`sysid.gear.model.simulate`).
+    The numbers do not depend on the threads (all cores by default).
     """
 
     campaign: GearCampaign
     space: SearchSpace
     drops: tuple[PreparedDrop, ...]
     threads: int | None = None
+    # Bound of the simulation's error per step (`sysid.gear.model.simulate`); None: the campaign's.
     tolerance: float | None = None
     causes = CAUSES
 
@@ -153,11 +167,6 @@ class GearProblem(Problem):
         # The search needs no logs, and their samples would travel to every worker.
         drops = tuple(replace(drop, recording=None) for drop in self.drops)
         return super().__getstate__() | {"drops": drops}
-
-    @property
-    def board_length(self) -> float | None:
-        """Where the board ends, down-slope of the touchdown [m]; None: nowhere."""
-        return self.campaign.surface.board_length
 
     # --- what is compared -----------------------------------------------------------------------------------
 
@@ -203,18 +212,41 @@ class GearProblem(Problem):
         """Simulate and score rows of the parameter table (P, n_table) [SI]."""
         scored = [self.judge_samples(*self.simulate(rows[part])) for part in self.parts(len(rows))]
         return Scores(
-            np.concatenate([part.by_channel for part, _ in scored]),
-            np.concatenate([causes for _, causes in scored]),
+            np.concatenate([part.by_channel for part in scored]),
+            np.concatenate([part.cause for part in scored]),
         )
 
-    def judge_samples(
-        self, samples: FloatArray, result: PopulationSamples
-    ) -> tuple[PopulationCost, NDArray[np.int8]]:
-        """Score what `simulate` returned, with all penalties, and say of each drop (P, D) why it is lost."""
+    def judge_samples(self, samples: FloatArray, result: PopulationSamples) -> Scores:
+        """Score what `simulate` returned, with all penalties."""
         scored = self.cost(samples, result.reached, self.threads)
-        causes, missing = lost_drops(self.cost, self.drops, self.board_length, result, samples, scored.failed)
-        by_channel = scored.by_channel + FAILED_NRMSE * missing[:, :, None]
-        return PopulationCost(self.cost.mean(by_channel), by_channel, causes > 0), causes
+        failed = scored.failed
+        cause = np.zeros(failed.shape, dtype=np.int8)
+        for status, number in _OF_STATUS.items():
+            cause[failed & (result.status == status)] = number
+        # A share below 1 without a status is a trajectory that is not finite.
+        cause[failed & (cause == 0)] = _OF_STATUS[Status.STEP_COLLAPSED]
+        missing = np.zeros(failed.shape)
+        touches = np.isfinite(result.first_contact).any(axis=2)
+        missing[~touches] = 1.0
+        cause[(cause == 0) & ~touches] = _NEVER_TOUCHED
+        board_length = self.campaign.surface.board_length
+        if board_length is not None:
+            way = _BEYOND_BOARD * board_length
+            feet = np.argmin(np.nan_to_num(result.first_contact, nan=np.inf), axis=2)
+            for d, drop in enumerate(self.drops):
+                first = int(self.cost.offsets[d]) + len(drop.before)
+                # Two products beat the matrix product of a strided window.
+                along = samples[:, first : first + len(drop.time), 0] * drop.feet.tangent[0]
+                along += samples[:, first : first + len(drop.time), 1] * drop.feet.tangent[1]
+                start = result.contact_state[np.arange(len(feet)), d, feet[:, d], :2] @ drop.feet.tangent
+                beyond = along > (start + way)[:, None]
+                share = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1) / len(drop.time), 1.0)
+                left = (cause[:, d] == 0) & (share < 1.0)
+                missing[left, d] = 1.0 - share[left]
+                cause[left, d] = _LEFT_BOARD
+        # A failed simulation has scored its penalty.
+        missing[failed] = 0.0
+        return Scores(scored.by_channel + FAILED_NRMSE * missing[:, :, None], cause)
 
     def simulate(
         self, rows: FloatArray, body_states: FloatArray | None = None
@@ -250,8 +282,8 @@ class GearProblem(Problem):
     def predict(self, rows: FloatArray) -> Prediction:
         """Return scores and signals of rows (P, n_table) [SI], simulated once."""
         samples, result = self.simulate(rows)
-        scored, causes = self.judge_samples(samples, result)
-        return Prediction(scored.by_channel, causes, self.cost.prepared(samples))
+        scored = self.judge_samples(samples, result)
+        return Prediction(scored.by_channel, scored.cause, self.cost.prepared(samples))
 
     # --- what is uncertain ----------------------------------------------------------------------------------
 

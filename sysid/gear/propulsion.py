@@ -19,23 +19,15 @@ from sysid.types import FloatArray
 class Propulsion:
     """Thrust of the rear and front pair of motors [N], along the body's z axis at the two thrust points.
 
-    Parameters
-    ----------
-    rear, front : PiecewiseCubic
-        Thrust of each pair on the clock of the history; before the clock starts, its first value.
-    begins : float or "first contact"
-        When that clock starts: this long after the drop's first sample [s], or when a foot first touches.
-    delay : float
-        Added to the first contact [s].
-    settled : float, optional
-        Last command on the history's clock [s]: before it nothing counts as at rest, because the motors still
-        wait for a command.
+    Both have one clock; before the clock starts, the thrust has its first value.
     """
 
     rear: PiecewiseCubic
     front: PiecewiseCubic
+    # Start of the clock since the drop's first sample [s], or when a foot first touches.
     begins: float | Literal["first contact"] = 0.0
-    delay: float = 0.0
+    delay: float = 0.0  # of the clock behind the first contact [s]
+    # Last command on the clock [s]: before it a body is not at rest, because its motors wait for a command.
     settled: float | None = None
 
     def __post_init__(self) -> None:

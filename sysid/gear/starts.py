@@ -1,8 +1,8 @@
-"""What a drop's start may be off by: the capture's noise, and the offsets that a campaign frees.
+"""Errors of a drop's start: the capture's noise, and the offsets that a campaign frees.
 
-Free are the height of the surface and the instant of the start, one number per fitted drop and kind, appended
-to the search: 1 mm of height is 1.4 ms of touchdown at 0.7 m/s, which no stiffness explains. There are none
-unless the campaign asks for them, and never any of a validation drop.
+A campaign may free the height of the surface and the instant of the start, one number per fitted drop and
+kind, appended to the search: 1 mm of height is 1.4 ms of touchdown at 0.7 m/s, which no stiffness explains. A
+validation drop has no offsets.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from sysid.gear.drops import PreparedDrop, as_compared
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.types import FloatArray
 
-# Samples of noise that pass the filter to show what becomes of it.
+# Number of samples of noise that pass the filter to show what becomes of noise.
 _NOISE_SAMPLES = 20_000
-# The fit of the flight looks back into a hold this far at most [s].
+# Longest part of a hold that the fit of the flight takes [s].
 _HOLD = 2.0
 
 _HEIGHT = Parameter(

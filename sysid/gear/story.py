@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid.fit.story import Story
 from sysid.gear.beyond_window import centre_of_mass, stopping
-from sysid.gear.drops import PreparedDrop, lowpass_of
+from sysid.gear.drops import lowpass_of
 from sysid.gear.model import PARAMETERS, EventKind, simulate
 from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
 from sysid.gear.problem import ONE_TOUCHDOWN, GearProblem
@@ -39,39 +39,43 @@ class GearStory(Story[GearProblem]):
 
         ``stop``: place [m, down-slope] and time [s] since the first touchdown, each measured, mean and sigma.
         """
-        stops = [
-            stopping(drop, rows, self.problem.board_length, **self.problem.simulation)
-            for drop in self.problem.drops
-        ]
+        board = self.problem.campaign.surface.board_length
         return [
-            {"slope_deg": float(np.degrees(drop.slope)), "stop": stop}
-            for drop, stop in zip(self.problem.drops, stops, strict=True)
+            {
+                "slope_deg": float(np.degrees(drop.slope)),
+                "stop": stopping(drop, rows, board, **self.problem.simulation),
+            }
+            for drop in self.problem.drops
         ]
 
     def quality(self) -> list[dict[str, Any]]:
         """Return how good every log is, and how its fall begins and ends."""
-        notice_odd_vehicle(self.problem.campaign)
-        return [self._quality(drop) for drop in self.problem.drops]
-
-    def _quality(self, drop: PreparedDrop) -> dict[str, Any]:
-        assert drop.recording is not None
-        campaign, flight, motion = self.problem.campaign, drop.flight, drop.motion
-        trial = next(entry for entry in campaign.trials if entry.name == drop.name)
-        report = inspect_recording(drop.recording, campaign.vehicle.gravity)
-        notice_contradictions(campaign, trial, report.drop)
-        window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
-        tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
-        stated = ("slope_deg", "release", "touchdown", "impact_speed", "notes")
-        return {
-            **log_quality(drop.name, drop.use, report),
-            **{key: drop.provenance[key] for key in stated},
-            "noise": dict(zip(("x", "z", "pitch"), flight.noise.tolist(), strict=True)),
-            "gravity": flight.measured_gravity,
-            "gravity_error": _fall_error(drop),
-            "held": flight.held,
-            "lost_in_window": int(np.sum(~motion.valid[window])),
-            "out_of_plane_deg": float(np.degrees(tilt)),
-        }
+        campaign, out = self.problem.campaign, []
+        notice_odd_vehicle(campaign)
+        trials = {trial.name: trial for trial in campaign.trials}
+        for drop in self.problem.drops:
+            assert drop.recording is not None
+            flight, motion = drop.flight, drop.motion
+            report = inspect_recording(drop.recording, campaign.vehicle.gravity)
+            notice_contradictions(campaign, trials[drop.name], report.drop)
+            window = (motion.time >= drop.time[0]) & (motion.time <= drop.time[-1])
+            tilt = np.nanmax(np.abs([motion.roll[window], motion.yaw[window]]))
+            # Error of the g of a parabola through n samples of noise σ over a time T: σ sqrt(720/n)/T².
+            fall = drop.touchdown - flight.start
+            count = fall * motion.rate
+            error = float(flight.noise[1] * np.sqrt(720.0 / count) / fall**2) if count > 3 else np.nan
+            stated = ("slope_deg", "release", "touchdown", "impact_speed", "notes")
+            out.append({
+                **log_quality(drop.name, drop.use, report),
+                **{key: drop.provenance[key] for key in stated},
+                "noise": dict(zip(("x", "z", "pitch"), flight.noise.tolist(), strict=True)),
+                "gravity": flight.measured_gravity,
+                "gravity_error": error,
+                "held": flight.held,
+                "lost_in_window": int(np.sum(~motion.valid[window])),
+                "out_of_plane_deg": float(np.degrees(tilt)),
+            })  # fmt: skip
+        return out
 
     def excitation(self) -> dict[str, Any]:
         """Return the ranges of slopes [deg], impact speeds [m/s] and largest pitch rates [rad/s]."""
@@ -103,13 +107,3 @@ class GearStory(Story[GearProblem]):
                     out.append(event.time)
                 last[event.foot] = event.time
         return drop.time[0] + np.array(out)
-
-
-def _fall_error(drop: PreparedDrop) -> float:
-    """Return the standard error of the g that the fall itself shows [m/s²].
-
-    Of a parabola through n samples of noise σ over a time T: σ sqrt(720/n)/T².
-    """
-    lasts = drop.touchdown - drop.flight.start
-    count = lasts * drop.motion.rate
-    return float(drop.flight.noise[1] * np.sqrt(720.0 / count) / lasts**2) if count > 3 else np.nan

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sysid.campaign import read_campaign
+from sysid.fit.nrmse import PopulationCost
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import PARAMETERS
 from sysid.gear.problem import GearProblem, gear_space
@@ -35,7 +36,8 @@ def score_values(campaign, drops, values, **options):
     """Score one set of parameter values [SI] on prepared drops; absent names take the campaign's."""
     problem = GearProblem(campaign, gear_space(campaign), drops, **options)
     known = dict(zip(problem.space.table, problem.base, strict=True)) | values
-    return problem.judge_samples(*problem.simulate(np.array([[known[name] for name in PARAMETERS]])))[0]
+    scored = problem.score(np.array([[known[name] for name in PARAMETERS]]))
+    return PopulationCost(problem.cost.mean(scored.by_channel), scored.by_channel, scored.cause > 0)
 
 
 def on_board(problem, length):

@@ -12,9 +12,8 @@ from sysid.errors import CampaignError
 from sysid.fit.nrmse import FAILED_NRMSE
 from sysid.fit.store import read_fit
 from sysid.fit.trial import first_cause
-from sysid.gear.lost_drops import CAUSES
 from sysid.gear.model import SURFACES, pack
-from sysid.gear.problem import GearProblem, gear_space
+from sysid.gear.problem import CAUSES, GearProblem, gear_space
 from sysid.journal import Journal
 from sysid.synthetic import LF_DROPS, synthesize_gear
 from sysid.workflows.fit import fit_gear
@@ -35,10 +34,10 @@ def problem(folder):
 
 
 def cause(objective, row):
-    scored, causes = objective.judge_samples(*objective.simulate(row[None]))
+    scored = objective.judge_samples(*objective.simulate(row[None]))
     assert np.isfinite(scored.by_channel).all()
-    code = first_cause(causes, len(CAUSES))[0]
-    return float(scored.cost[0]), "fine" if not code else CAUSES[code - 1]
+    code = first_cause(scored.cause, len(CAUSES))[0]
+    return float(objective.cost.mean(scored.by_channel)[0]), "fine" if not code else CAUSES[code - 1]
 
 
 def lifted(objective, *heights):
