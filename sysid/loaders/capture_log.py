@@ -127,7 +127,8 @@ def rotation_quaternions(
 ) -> FloatArray:
     """Return quaternions (n, 4), w first, of `values` (n, k) or (n, 3, 3); NaN where not `seen` (finite).
 
-    `kind` is how scipy's ``Rotation.from_KIND`` takes the values; Euler angles [deg] have an `order` of axes.
+    `kind` is how scipy's ``Rotation.from_KIND`` takes the values. Euler angles [deg] are about the axes of
+    the turning body, in an `order` such as ``"XYZ"``: upper-case letters are scipy's sign for that.
     """
     # Imported on first use: it takes longer than all else that the commands without logs need.
     from scipy.spatial.transform import Rotation
@@ -148,30 +149,6 @@ def rotation_quaternions(
 def matrix_quaternions(matrix: FloatArray, seen: BoolArray) -> FloatArray:
     """Return quaternions, w first, of continuous sign, of matrices (n, 3, 3); NaN where not `seen`."""
     return continuous_quaternions(rotation_quaternions("matrix", matrix, seen))[0]
-
-
-def euler_quaternions(order: str, angles_deg: FloatArray) -> FloatArray:
-    """Return quaternions, w first, of Euler angles (n, 3) [deg] about the axes of the turning body.
-
-    `order` is for example ``"XYZ"``: about X, then the new Y, then the new Z. Rows with NaN give NaN.
-    """
-    # Upper-case letters are scipy's sign for intrinsic rotations.
-    return rotation_quaternions("euler", angles_deg, order=order)
-
-
-def body_channels(
-    name: str,
-    time: FloatArray,
-    position: FloatArray,
-    orientation: FloatArray,
-    extra: Mapping[str, tuple[str, FloatArray]] | None = None,
-) -> dict[str, Channel]:
-    """Return the channels of a rigid body: position [m] (n, 3), orientation w first (n, 4), and others."""
-    parts = {"position": ("m", position), "orientation": ("1", orientation), **(extra or {})}
-    return {
-        f"{name}/{what}": Channel(f"{name}/{what}", unit, time, values)
-        for what, (unit, values) in parts.items()
-    }
 
 
 def declared_length(path: str, declared: str | None, default: str = "m") -> float:
@@ -255,16 +232,15 @@ def _recording(
     """
     raw = parse(source, options)
     path, notes = source.path, list(raw.notes)
-    channels: dict[str, Channel] = {}
-    for body in raw.bodies:
-        orientation = body.orientation
+    bodies = list(raw.bodies)
+    for body in bodies:
         if body.rows is not None:
-            orientation, turned = unit_quaternions(path, body.name, body.rows, orientation)
+            body.orientation, turned = unit_quaternions(path, body.name, body.rows, body.orientation)
             notes += turned
-        channels |= body_channels(body.name, body.time, body.position, orientation, body.extra)
-        lost = int(np.isnan(orientation[:, 0]).sum())
+        lost = int(np.isnan(body.orientation[:, 0]).sum())
         if raw.marks_lost and lost:
-            notes.append(note("body-lost", f"{body.name} is lost in {lost} of {len(orientation)} frames"))
+            frames = len(body.orientation)
+            notes.append(note("body-lost", f"{body.name} is lost in {lost} of {frames} frames"))
     if options.bodies is not None or (options.rigid_body is not None and not raw.chosen):
         rigid_body = None if raw.chosen else options.rigid_body
         for fitted, markers in _marker_bodies(path, raw.markers, options, rigid_body).items():
@@ -272,8 +248,13 @@ def _recording(
             rotation, origin, residual, fit = fit_pose(path, fitted, markers, points)
             turn = matrix_quaternions(rotation, np.isfinite(residual))
             time = raw.markers[markers[0]][0]
-            channels |= body_channels(fitted, time, origin, turn, {"residual": ("m", residual)})
+            bodies.append(Body(fitted, time, origin, turn, extra={"residual": ("m", residual)}))
             notes.append(fit)
+    channels: dict[str, Channel] = {}
+    for body in bodies:
+        parts = {"position": ("m", body.position), "orientation": ("1", body.orientation), **body.extra}
+        for what, (unit, values) in parts.items():
+            channels[f"{body.name}/{what}"] = Channel(f"{body.name}/{what}", unit, body.time, values)
     blank = [marker for marker, (_, place) in raw.markers.items() if not np.isfinite(place).all(axis=1).any()]
     notes += listing_note("markers-never-seen", "markers never seen, left out", blank)
     for marker, (time, place) in raw.markers.items():

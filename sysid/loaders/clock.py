@@ -117,22 +117,26 @@ def order_rows(
     return time, notes
 
 
-def frame_clock(
+def stamp_clock(
     path: str,
     numbers: Numbers,
-    frame_column: int,
     time_column: int,
     factor: float,
     options: LogOptions,
+    frame_column: int | None,
+    *,
+    coarse: str,
     other_clock: str = "time",
 ) -> tuple[FloatArray, list[Finding]]:
-    """Return times [s] rebuilt from frame numbers, and notes, where the written ones are times of arrival.
+    """Return the written times [s] of poses, or times rebuilt from a column of frame numbers, and notes.
 
-    They lie on the straight line that fits the written times best, so they have the log's rate, and a
-    constant delay stays in it. `numbers` keeps only the rows they belong to; `factor` turns the written
-    times into seconds. `other_clock` is what to choose where the two columns do not belong together (a
-    LogError).
+    Times are rebuilt where the written ones are times of arrival. They lie on the straight line that fits the
+    written times best, so they have the log's rate, and a constant delay stays in it. `numbers`, `factor` and
+    `coarse` as for `order_rows`; `other_clock` is what to choose where frames and times do not belong
+    together (a LogError).
     """
+    if frame_column is None:
+        return order_rows(path, numbers, time_column, factor, options=options, coarse=coarse)
     _, notes = order_rows(path, numbers, frame_column, 1.0, options=options)
     frames, written = numbers.columns[frame_column], numbers.columns[time_column] * factor
     seen = np.isfinite(written)

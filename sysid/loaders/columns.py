@@ -154,9 +154,7 @@ class DeclaredUnits:
 
     def unit_of(self, column: Column, channel: str, default: str | None = None) -> str | None:
         """Return the unit of a column: declared, else of the header, else `default`."""
-        names = [
-            name.casefold() for name in (channel, column.label, split_label(column.label)[0], column.stem)
-        ]
+        names = [name.casefold() for name in (channel, column.label, column.stem)]
         match = next((key for name in names for key in self._declared if key.casefold() == name), None)
         if column.unit == STAMPS:
             if match is not None:

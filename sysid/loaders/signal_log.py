@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -79,27 +79,20 @@ class Signal:
         """Name of its group."""
         return self.name.removesuffix(self.label).rstrip("/")
 
-    @property
-    def stem(self) -> str:
-        """Lower-case label without its unit."""
-        return split_label(self.label)[0]
-
-    @property
-    def stated_unit(self) -> str | None:
-        """Unit that the file states beside the signal or in its label."""
-        return self.unit if self.unit is not None or self.numbered else split_label(self.label)[1]
-
-    @property
-    def guesses_unit(self) -> bool:
-        """Whether the unit is only the end of the label."""
-        return self.unit is None and split_label(self.label)[2]
+    @cached_property
+    def column(self) -> Column:
+        """Name and unit of the signal, as those of a table's column."""
+        stem, unit, guessed = split_label(self.label)
+        if self.unit is not None or self.numbered:
+            unit, guessed = self.unit, False
+        return Column(0, self.label, stem, unit, guessed)
 
     @property
     def is_time(self) -> bool:
         """Whether it is a clock by its name; a ``T`` in degrees is a temperature."""
-        if self.stem != "t" or self.stated_unit is None:
-            return self.stem in STEMS["time"]
-        return factor_or_none(self.stated_unit, "s") is not None
+        if self.column.stem != "t" or self.column.unit is None:
+            return self.column.stem in STEMS["time"]
+        return factor_or_none(self.column.unit, "s") is not None
 
 
 @dataclass
@@ -155,7 +148,7 @@ def _choose(path: str, signals: Mapping[str, Signal], raw: RawSignals, datasets:
             matches = [
                 name
                 for name, signal in signals.items()
-                if (signal.is_time if channel == "time" else signal.stem in stems)
+                if (signal.is_time if channel == "time" else signal.column.stem in stems)
             ]
             if len(matches) > 1 and channel != "time":
                 raise LogError(
@@ -268,10 +261,7 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
     chosen = _choose(path, by_name, raw, options.datasets)
     check_tachometer(path, chosen, per_revolution)
     declared = DeclaredUnits(path, options.units)
-    columns = {
-        name: Column(index, signal.label, signal.stem, signal.stated_unit, signal.guesses_unit)
-        for index, (name, signal) in enumerate(by_name.items())
-    }
+    columns = {name: signal.column for name, signal in by_name.items()}
     clocks = _Clocks(
         path, by_name, rate, chosen.get("time"), lambda name: declared.factor(columns[name], "time", "s")
     )

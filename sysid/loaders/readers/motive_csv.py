@@ -26,8 +26,8 @@ from sysid.loaders.capture_log import (
     Body,
     RawCapture,
     capture_format,
-    euler_quaternions,
     length_factor,
+    rotation_quaternions,
     wanted_bodies,
 )
 from sysid.loaders.clock import began_note, counted_clock, jitter_note, order_rows
@@ -220,7 +220,9 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
             turn = numbers.stacked(quaternion)
         else:
             order = _euler_order(path, stated.get("Rotation Type", ""), options.euler_order)
-            turn = euler_quaternions(order, numbers.stacked(body.columns("Rotation", order)))
+            turn = rotation_quaternions(
+                "euler", numbers.stacked(body.columns("Rotation", order)), order=order
+            )
         position = numbers.stacked(body.columns("Position", "XYZ")) * scale
         raw.bodies.append(Body(body.name, time, position, turn, numbers))
     places = [numbers.stacked(marker.columns("Position", "XYZ")) * scale for marker in markers]

@@ -22,7 +22,7 @@ import numpy as np
 from sysid.errors import LogError, UnitError
 from sysid.journal import note
 from sysid.loaders.capture_log import Body, RawCapture, body_name, capture_format, declared_length
-from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
+from sysid.loaders.clock import EXPORT_FINER, jitter_note, stamp_clock
 from sysid.loaders.columns import (
     Column,
     DeclaredUnits,
@@ -164,15 +164,14 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         for name, columns in extra.items()
     }
     declared.check_used(header)
-    counted = [frame] if frame is not None and options.clock == "frame" else []
+    counted = frame if options.clock == "frame" else None
     triples = [column for columns in extra.values() for column in columns.values()]
-    wanted = [stamp, *counted, *position.values(), *quaternion, *triples]
+    wanted = [stamp, *([counted] if counted else []), *position.values(), *quaternion, *triples]
     numbers = table.read(wanted)
-    if counted:
-        time, ordered = frame_clock(path, numbers, counted[0].index, stamp.index, seconds, options)
-    else:
-        coarse = EXPORT_FINER if frame is None else 'choose clock = "frame"'
-        time, ordered = order_rows(path, numbers, stamp.index, seconds, options=options, coarse=coarse)
+    time, ordered = stamp_clock(
+        path, numbers, stamp.index, seconds, options, counted.index if counted else None,
+        coarse=EXPORT_FINER if frame is None else 'choose clock = "frame"',
+    )  # fmt: skip
     notes = [*numbers.notes, *ordered, *unread_note(header, wanted)]
     if not states_time:
         step = float(np.median(np.diff(time))) if time.size > 1 else 0.0

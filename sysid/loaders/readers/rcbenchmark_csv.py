@@ -162,21 +162,11 @@ def _messages(table: NamedTable, column: Column) -> list[Finding]:
     return [note("stand-messages", f"messages of the stand's program: {shown}")] if shown else []
 
 
-def _no_clock(path: str) -> LogError:
-    return LogError(
-        f'{path}: no column "Time", so rows have no clock; if each row is one averaged point, say so with '
-        "static = true"
-    )
-
-
 def _clock(
-    path: str, numbers: Numbers, columns: tuple[Column | None, Column], seconds: float, options: BenchOptions
+    table: NamedTable, numbers: Numbers, column: Column | None, command: Column, options: BenchOptions
 ) -> tuple[FloatArray, FloatArray | None, list[Finding]]:
-    """Return the clock [s], and instead of it point numbers and the stand's times where rows are averaged.
-
-    `columns` are the time's, which may be missing, and the command's.
-    """
-    column, command = columns
+    """Return the clock [s], and instead of it point numbers and the stand's times where rows are averaged."""
+    seconds = table.declared.factor(column, "time", "s") if column else 1.0
     again = np.ones(numbers.lines.size, dtype=np.bool_)
     again[0] = False
     for values in numbers.columns.values():
@@ -186,23 +176,29 @@ def _clock(
     known = np.empty(0) if written is None else written[np.isfinite(written) & ~again]
     apart = known.size > 1 and float(np.median(np.abs(np.diff(known)))) >= _STATIC_STEP
     static = options.static
-    if static is None and written is None:
+    if written is None and not static:
+        # A column may be a clock by another name.
+        named = any(re.search("time|clock", other.label, re.IGNORECASE) for other in table.columns)
         levels = numbers.columns[command.index]
-        static = bool(np.count_nonzero(np.diff(levels)) * 2 >= levels.size - 1 > 0)
-        if not static:
-            raise _no_clock(path)
+        changes = np.count_nonzero(np.diff(levels)) * 2 >= levels.size - 1 > 0
+        if static is False or named or not changes:
+            raise LogError(
+                f'{table.path}: no column "Time", so rows have no clock; if each row is one averaged point, '
+                "say so with static = true"
+            )
+        static = True
     elif static is None:
         static = apart
     elif static is False and written is not None and apart:
         raise LogError(
-            f"{path}: rows lie {float(np.nanmedian(np.abs(np.diff(written)))):.3g} s apart (median): "
+            f"{table.path}: rows lie {float(np.nanmedian(np.abs(np.diff(written)))):.3g} s apart (median): "
             "averaged points, not a running log; leave static out, or record the log at the stand's full rate"
         )
     if static or column is None:
         points = np.arange(numbers.lines.size, dtype=np.float64)
         notes = _point_notes(numbers, written)
         return points, points if written is None else written, notes
-    time, ordered = order_rows(path, numbers, column.index, seconds, options=options, stale_start=True)
+    time, ordered = order_rows(table.path, numbers, column.index, seconds, options=options, stale_start=True)
     return time, None, ordered
 
 
@@ -214,7 +210,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         probes = {_QUANTITIES[name][0] for name in _SPEEDS} & {column.stem for column in header}
         others = {name: unit for name, unit in units.items() if name != "speed"}
         units = dict.fromkeys(sorted(probes), units["speed"]) | others if probes else units
-    declared = DeclaredUnits(path, units)
+    table.declared = declared = DeclaredUnits(path, units)
     command = table.find(_COMMAND)
     if command is None:
         raise table.missing('"ESC signal" or "ESC"')
@@ -223,10 +219,6 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     if not any(name in columns for name in _MEASURED):
         raise table.missing('"Thrust", "Torque" or "Motor Optical Speed"')
     clock = table.find({"time"})
-    # A column may be a clock by another name.
-    named = any(re.search("time|clock", column.label, re.IGNORECASE) for column in header)
-    if clock is None and (options.static is False or (options.static is None and named)):
-        raise _no_clock(path)
     temperatures = [column for column in header if (column.unit or "") in ("ºC", "°C", "degC")]
 
     wanted = [command, *(column for column, _ in columns.values()), *temperatures]
@@ -238,8 +230,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     least = len(header) if words is None else words + 1 + min(table.head.trailing, 1)
     messages = [] if message is None else _messages(table, message)
     numbers = table.read(wanted, least=least, surplus=True, free_text=words, again=True)
-    seconds = declared.factor(clock, "time", "s") if clock else 1.0
-    time, points, ordered = _clock(path, numbers, (clock, command), seconds, options)
+    time, points, ordered = _clock(table, numbers, clock, command, options)
     stems = {column.stem for column in header}
     series = " Series 1580/1585" if "accx" in stems else " Series 1780" if "esc" in stems else ""
     series = series or ("" if "torque" in stems else " Series 1520")

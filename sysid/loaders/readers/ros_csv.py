@@ -16,7 +16,7 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.capture_log import Body, RawCapture, body_name, capture_format, declared_length
-from sysid.loaders.clock import EXPORT_FINER, frame_clock, jitter_note, order_rows
+from sysid.loaders.clock import EXPORT_FINER, jitter_note, stamp_clock
 from sysid.loaders.columns import Column, NamedTable, listing, unread_note
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
@@ -98,19 +98,17 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     sequence = next((column for column in columns if column.stem == _SEQUENCE), None)
     if clock == "frame" and sequence is None:
         raise LogError(f'{path}: no column field.header.seq; choose clock = "header" or "arrival"')
-    counted = [sequence] if sequence is not None and clock == "frame" else []
-    read = [stamp, *counted, *place, *turn]
+    counted = sequence if clock == "frame" else None
+    read = [stamp, *([counted] if counted else []), *place, *turn]
     numbers = table.read(read)
     if clock == "header" and not np.nan_to_num(numbers.columns[stamp.index]).any():
         raise LogError(f'{path}: every header stamp is 0; choose clock = "arrival"')
     unit, assumed = _stamp_unit(path, numbers, stamp)
-    if counted:
-        other = "header" if wanted == _STAMP else "arrival"
-        time, ordered = frame_clock(path, numbers, counted[0].index, stamp.index, unit, options, other)
-    else:
-        arrival = wanted == _STAMP and _ARRIVAL in clocks
-        coarse = 'choose clock = "arrival"' if arrival else EXPORT_FINER
-        time, ordered = order_rows(path, numbers, stamp.index, unit, options=options, coarse=coarse)
+    time, ordered = stamp_clock(
+        path, numbers, stamp.index, unit, options, counted.index if counted else None,
+        coarse='choose clock = "arrival"' if wanted == _STAMP and _ARRIVAL in clocks else EXPORT_FINER,
+        other_clock="header" if wanted == _STAMP else "arrival",
+    )  # fmt: skip
     notes = [*numbers.notes, *assumed, *ordered, *jitter_note(time), *unread_note(columns, read)]
     position = numbers.stacked(column.index for column in place) * scale
     pose = Body(body, time, position, numbers.stacked(column.index for column in turn), numbers)

@@ -24,7 +24,6 @@ from sysid.loaders.capture_log import (
     Body,
     RawCapture,
     capture_format,
-    euler_quaternions,
     length_factor,
     rotation_quaternions,
     wanted_bodies,
@@ -196,7 +195,8 @@ def _rotation(
         factor = factor_to_si(stated_units.pop() or "rad", "rad")
     if chosen == "helical":
         return rotation_quaternions("rotvec", stacked(("RX", "RY", "RZ")) * factor)
-    return euler_quaternions(chosen, np.degrees(stacked([f"R{axis}" for axis in chosen]) * factor))
+    angles_deg = np.degrees(stacked([f"R{axis}" for axis in chosen]) * factor)
+    return rotation_quaternions("euler", angles_deg, order=chosen)
 
 
 def _body_name(name: str) -> str:

@@ -26,7 +26,7 @@ from sysid.recording import Channel, FloatArray, Recording
 from sysid.shown import Shown
 from sysid.trials.bench_log import Stall, command_steps, find_stalls
 from sysid.trials.capture import signed_axis
-from sysid.trials.look.drop import STANDARD_GRAVITY, DropReport, hanging_turn, inspect_drop
+from sysid.trials.look.drop import HANGING, STANDARD_GRAVITY, DropReport, inspect_drop, mean_turn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -226,7 +226,8 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
         )
     orientation = recording.channels.get(f"{drop.body}/orientation")
     if orientation is not None and drop.release is not None:
-        up, hanging = signed_axis(drop.up), hanging_turn(orientation, drop.release)
+        up = signed_axis(drop.up)
+        hanging = mean_turn(orientation, drop.release - HANGING, drop.release)
         tilt = 0.0 if hanging is None else float(np.arccos(np.clip(hanging.apply(up) @ up, -1.0, 1.0)))
         if tilt > _TILTED:
             yield Finding(

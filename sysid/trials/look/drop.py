@@ -23,7 +23,7 @@ from sysid.trials.flight import (
     second_derivative,
     thrown,
 )
-from sysid.types import BoolArray, FloatArray
+from sysid.types import FloatArray
 
 STANDARD_GRAVITY = 9.80665
 # Factor on g of lengths read in a wrong unit, and the true unit; the last was read as mm.
@@ -34,6 +34,8 @@ _NEAR_UNIT = 0.1
 # 60 ms by less than the half millimetre that shows it. Such a fall must be this long [s].
 _ODD_GRAVITIES = tuple(1.06 ** (sign * power) for power in range(2, 26) for sign in (1, -1))
 _LONG_ODD_FALL = 0.1
+# Time before a release over which the rotation of a hanging body is averaged [s].
+HANGING = 0.3
 # Time from the touch of the feet until a body on soft legs visibly leaves its flight [s].
 _YIELDING = 0.010
 # Least slope of a board whose markers show a direction; largest angle of a way off an axis [rad].
@@ -176,14 +178,11 @@ def _report(
     )  # fmt: skip
 
 
-def hanging_turn(orientation: Channel, release: float) -> Rotation | None:
-    """Return the mean rotation of a body in the 0.3 s before its release; None without three samples."""
-    time = orientation.time
-    before = orientation.valid & (time < release) & (time > release - 0.3)
-    return _mean_turn(orientation, before) if before.sum() >= 3 else None
-
-
-def _mean_turn(orientation: Channel, part: BoolArray) -> Rotation:
+def mean_turn(orientation: Channel, begin: float, end: float = np.inf) -> Rotation | None:
+    """Return the mean rotation of a body between two times [s]; None with fewer than three samples."""
+    part = orientation.valid & (orientation.time > begin) & (orientation.time < end)
+    if part.sum() < 3:
+        return None
     return Rotation.from_quat(np.roll(orientation.values[part], -1, axis=1)).mean()
 
 
@@ -218,14 +217,13 @@ def _slope(
     orientation = recording.channels.get(f"{body}/orientation")
     if orientation is None or release is None:
         return unknown
-    valid = orientation.valid
-    hanging = hanging_turn(orientation, release)
-    rest = valid & (orientation.time > orientation.time[-1] - 0.15) & (orientation.time > touchdown + 0.2)
-    if hanging is None or rest.sum() < 3:
+    hanging = mean_turn(orientation, release - HANGING, release)
+    rest = mean_turn(orientation, max(orientation.time[-1] - 0.15, touchdown + 0.2))
+    if hanging is None or rest is None:
         return unknown
     seen = channel.values[channel.valid & (channel.time > channel.time[-1] - 0.15)]
     if np.max(np.ptp(seen, axis=0)) > 5e-3:
         return unknown  # it still moves
-    turned = (_mean_turn(orientation, rest) * hanging.inv()).apply(up)
+    turned = (rest * hanging.inv()).apply(up)
     angle = float(np.arccos(np.clip(turned @ up, -1.0, 1.0)))
     return angle, "tilt between hold and rest: right only where it hung level and all feet stand", False, None
