@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, get_args
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from sysid.campaign import read_campaign
+from sysid.campaign.common import CampaignTable
 from sysid.documents import mistake
 from sysid.errors import CampaignError, ExportError, FitError
 from sysid.export import load_parameter_sets as load_parameter_sets
@@ -64,7 +65,7 @@ class Log(Recording):
         return figure_logs([self], [inspect_recording(self)])
 
 
-def load_log(path: str | Path, *, format: str = "auto", **options: Any) -> Log:
+def load_log(path: str | Path, *, format: str = "auto", **options: object) -> Log:
     """Read one log of any format: channels in SI, each on its own clock [s].
 
     Parameters
@@ -93,7 +94,7 @@ def load_log(path: str | Path, *, format: str = "auto", **options: Any) -> Log:
     return Log(**vars(load(path, format=format, **options)))
 
 
-def inspect(path: str | Path, *, format: str = "auto", **options: Any) -> LogReport:
+def inspect(path: str | Path, *, format: str = "auto", **options: object) -> LogReport:
     """Say what a log contains and what looks wrong in it; arguments and errors as for `load_log`.
 
     Examples
@@ -170,7 +171,7 @@ class Campaign:
     ('forward-1', 'reverse-1')
     """
 
-    def __init__(self, path: Path, content: Any) -> None:
+    def __init__(self, path: Path, content: CampaignTable) -> None:
         self.path, self.content = path, content
 
     @classmethod
@@ -185,12 +186,12 @@ class Campaign:
     @property
     def name(self) -> str:
         """As the file states it."""
-        return str(self.content.name)
+        return self.content.name
 
     @property
     def kind(self) -> str:
         """``gear``, ``motor`` or a kind of yours."""
-        return str(self.content.kind)
+        return self.content.kind
 
     @property
     def trials(self) -> tuple[str, ...]:
@@ -328,7 +329,7 @@ class Fit(Shown):
                 return FitTrial(self.result, trial)
         raise FitError(f"{self.result.name}: no trial {name!r}; found {', '.join(self.trials)}")
 
-    def trust(self, **options: Any) -> Judgement:
+    def trust(self, **options: object) -> Judgement:
         """Find the interval and verdict of every parameter, with a bootstrap over the trials.
 
         `options` as of ``sysid trust``: ``resamples``, ``seed``, ``threads``, ``campaign``. The result
@@ -338,7 +339,7 @@ class Fit(Shown):
         self.result = with_intervals(read_fit(self._folder), self._folder)
         return Judgement(document)
 
-    def report(self, out: str | Path | None = None, **options: Any) -> Path:
+    def report(self, out: str | Path | None = None, **options: object) -> Path:
         """Write the report as one HTML page and return its path, by default ``report.html`` in the folder.
 
         `options` as of ``sysid report``: ``against``, ``figure``, ``gif``, ``drop``, ``force``. Raises
@@ -358,7 +359,7 @@ def load_fit(path: str | Path) -> Fit:
 
 def fit_campaign(
     campaign: str | Path | Campaign, out: str | Path | None = None, *, kind: str | None = None,
-    law: Mapping[str, Any] | None = None, **options: Any,
+    law: Mapping[str, object] | None = None, **options: object,
 ) -> Fit:  # fmt: skip
     """Fit the model of a campaign's kind to its trials.
 
@@ -391,7 +392,7 @@ def fit_campaign(
 
 def fit_gear(
     campaign: str | Path | Campaign, out: str | Path | None = None, *, surface: str | None = None,
-    **options: Any,
+    **options: object,
 ) -> Fit:  # fmt: skip
     """Fit a landing gear to drops, see `fit_campaign`.
 
@@ -401,12 +402,12 @@ def fit_gear(
     return fit_campaign(campaign, out, kind="gear", law=law, **options)
 
 
-def fit_motor(campaign: str | Path | Campaign, out: str | Path | None = None, **options: Any) -> Fit:
+def fit_motor(campaign: str | Path | Campaign, out: str | Path | None = None, **options: object) -> Fit:
     """Fit a motor to bench logs, see `fit_campaign`."""
-    return fit_campaign(campaign, out, kind="motor", **options)
+    return fit_campaign(campaign, out, kind="motor", law=None, **options)
 
 
-def simulate_drop(gear: RankedSet, slope: str | float, speed: str | float, **options: Any) -> Landing:
+def simulate_drop(gear: RankedSet, slope: str | float, speed: str | float, **options: object) -> Landing:
     """Simulate a drop without thrust, from the touchdown on.
 
     Parameters
@@ -438,7 +439,7 @@ def simulate_drop(gear: RankedSet, slope: str | float, speed: str | float, **opt
 
 def simulate_landing(
     gear: RankedSet, motor: RankedSet, slope: str | float, speed: str | float, controller: str = "reverse",
-    *, ideal_reversal: bool = False, **options: Any,
+    *, ideal_reversal: bool = False, **options: object,
 ) -> Landing:  # fmt: skip
     """Simulate a landing with motors under a controller; other arguments as for `simulate_drop`.
 
@@ -464,13 +465,13 @@ def simulate_landing(
     return land_drone(drone(_set(gear), _set(motor)), chosen, controller_of(chosen, ideal_reversal))
 
 
-def _set(given: Any) -> RankedSet:
+def _set(given: object) -> RankedSet:
     if isinstance(given, RankedSet):
         return given
     raise ExportError(f"expected one set of a fit, such as sets.best, found a {type(given).__name__}")
 
 
-def python_options(cls: type[Options], given: Mapping[str, Any], **fixed: Any) -> Options:
+def python_options(cls: type[Options], given: Mapping[str, object], **fixed: object) -> Options:
     """Return the options `cls` of a call from Python: names are checked and texts read as on a command line.
 
     Fields that are dataclasses themselves take theirs by the same names. `fixed` are fields that the caller
@@ -486,14 +487,14 @@ def python_options(cls: type[Options], given: Mapping[str, Any], **fixed: Any) -
     return cls(**field_values(hints, given, _checked), **fixed)
 
 
-def _names(hints: Mapping[str, Any]) -> set[str]:
+def _names(hints: Mapping[str, object]) -> set[str]:
     names: set[str] = set()
     for name, hint in hints.items():
         names |= _names(field_hints(hint)) if is_dataclass(hint) else {name}
     return names
 
 
-def _checked(name: str, value: Any, hint: Any) -> Any:
+def _checked(name: str, value: object, hint: Any) -> object:
     """Return the value of an option as Python states it: a text where the command line takes one."""
     mark, plain = mark_of(hint), get_args(hint)[0]
     unit = mark.unit if isinstance(mark, Flag) else ""

@@ -11,7 +11,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -19,7 +19,7 @@ _SPECIAL = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 _LOOKS_SPECIAL = re.compile(r"'*(NaN|-?Infinity)\Z")
 
 
-def encoded(value: Any) -> Any:
+def encoded(value: object) -> Any:
     """Return `value` in a form that JSON can store."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -40,7 +40,7 @@ def encoded(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no place in a result file; convert it to numbers or text")
 
 
-def decoded(value: Any) -> Any:
+def decoded(value: object) -> Any:
     """Return what `encoded` was given."""
     if isinstance(value, str):
         if value in _SPECIAL:
@@ -53,11 +53,11 @@ def decoded(value: Any) -> Any:
     return value
 
 
-def _refuse(constant: str) -> Any:
+def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is not JSON")
 
 
-def dumps(value: Any, *, indent: int | None = 2) -> str:
+def dumps(value: object, *, indent: int | None = 2) -> str:
     """Return the JSON text of mappings, sequences, arrays, numbers, text, booleans, None; else TypeError."""
     return json.dumps(encoded(value), indent=indent, ensure_ascii=False, allow_nan=False)
 
@@ -67,6 +67,6 @@ def loads(text: str) -> Any:
     return decoded(json.loads(text, parse_constant=_refuse))
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Return `value` as reading it back would: arrays and tuples as lists, numpy scalars as numbers."""
     return decoded(encoded(value))

@@ -26,11 +26,14 @@ from sysid.errors import CampaignError, LogError
 from sysid.types import BoolArray, FloatArray, Spectrum
 
 
+@dataclass(frozen=True)
 class _Lowpass(ABC):
     """What the filters share: refusals, gaps, and the design as a result states it."""
 
     KIND: ClassVar[str]
     REMEDY: ClassVar[str]
+
+    rate: float
 
     @property
     @abstractmethod
@@ -56,20 +59,17 @@ class _Lowpass(ABC):
         out[~known] = np.nan
         return out
 
-    def design(self) -> dict[str, Any]:
+    def design(self) -> dict[str, object]:
         """Return the design as a result states it: its kind, and the fields that define it."""
-        return {"kind": self.KIND} | {name: getattr(self, name) for name in _arguments(type(self))}
-
-
-def _arguments(model: type[Any]) -> list[str]:
-    return [argument.name for argument in fields(model) if argument.init]
+        arguments = {one.name: getattr(self, one.name) for one in fields(self) if one.init}
+        return {"kind": self.KIND} | arguments
 
 
 def stated_filter(design: Mapping[str, Any]) -> ChebyshevLowpass | KaiserLowpass | None:
     """Return the filter whose `design` a result states; None for any other."""
     for model in (ChebyshevLowpass, KaiserLowpass):
         if design.get("kind") == model.KIND:
-            return model(**{name: design[name] for name in _arguments(model)})
+            return model(**{one.name: design[one.name] for one in fields(model) if one.init})
     return None
 
 
@@ -97,7 +97,6 @@ class ChebyshevLowpass(_Lowpass):
 
     KIND, REMEDY = "chebyshev", "switch the filter off"
 
-    rate: float
     stop_edge: float = 100.0
     order: int = 10
     attenuation_db: float = 40.0
@@ -141,7 +140,7 @@ class ChebyshevLowpass(_Lowpass):
     def _filtered(self, values: FloatArray) -> FloatArray:
         return np.asarray(signal.sosfiltfilt(self.sections, values, axis=0), dtype=np.float64)
 
-    def design(self) -> dict[str, Any]:
+    def design(self) -> dict[str, object]:
         """Return the design as a result states it, and where the cascade loses 3 dB [Hz]."""
         return super().design() | {"cutoff_3db": round(self.cutoff_3db, 2)}
 
@@ -172,7 +171,6 @@ class KaiserLowpass(_Lowpass):
 
     KIND, REMEDY = "kaiser", "widen its transition band"
 
-    rate: float
     cutoff: float = 65.0
     attenuation_db: float = 60.0
     transition: float = 10.0

@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Literal, Self, TextIO
 
 from sysid.errors import FitError, LogError, SysidWarning, printable
 
@@ -56,10 +56,15 @@ class Finding:
     def __str__(self) -> str:
         return f"{', '.join(self.trials)}: {self.sentence}" if self.trials else self.sentence
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, str | list[str]]:
         """Return the finding as it is stored."""
-        stored = {"code": self.code, "severity": self.severity, "sentence": self.sentence}
-        return stored | {"trials": list(self.trials), "parameters": list(self.parameters)}
+        return {
+            "code": self.code,
+            "severity": self.severity,
+            "sentence": self.sentence,
+            "trials": list(self.trials),
+            "parameters": list(self.parameters),
+        }
 
 
 def note(code: str, sentence: str) -> Finding:
@@ -94,6 +99,29 @@ def spoken(finding: Finding, trials: int = 0, noun: str = "trials") -> str:
     return str(finding)
 
 
+@contextmanager
+def heard_warnings(hear: Callable[[str], None]) -> Iterator[None]:
+    """Give the sentence of every `SysidWarning` in the block to `hear`; Python shows the other warnings."""
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def hear_or_show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            if issubclass(category, SysidWarning):
+                hear(str(message))
+            else:
+                show(message, category, filename, lineno, file, line)
+
+        warnings.showwarning = hear_or_show
+        yield
+
+
 class Journal:
     """Carries findings and progress of one command to the terminal, the record and the report.
 
@@ -112,18 +140,9 @@ class Journal:
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        self._open.enter_context(warnings.catch_warnings())
+        # A thread that knows no journal, or a foreign loader, warns.
+        self._open.enter_context(heard_warnings(lambda sentence: self.add(Finding("warning", sentence))))
         warnings.simplefilter("always", SysidWarning)
-        show = warnings.showwarning
-
-        def hear(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
-            # A thread that knows no journal, or a foreign loader, has warned.
-            if issubclass(category, SysidWarning):
-                self.add(Finding("warning", str(message)))
-            else:
-                show(message, category, *rest, **more)
-
-        warnings.showwarning = hear
         self._open.callback(_OPEN.reset, _OPEN.set(self))
         return self
 

@@ -14,12 +14,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge
 
 from sysid.errors import CampaignError, SysidError, UnitError
 from sysid.units import parse_quantity
+
+if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
 
 # Largest number of values of a grid; a slip of the pen asks for billions.
 _MOST_VALUES = 100_000
@@ -35,7 +39,7 @@ class Argument:
     """
 
     help: str
-    read: Callable[[Any], Any] | None = None
+    read: Callable[..., object] | None = None
 
 
 class Flag:
@@ -53,7 +57,7 @@ class Flag:
         *names: str,
         least: float | None = None,
         unit: str = "",
-        read: Callable[[str, str], Any] | None = None,
+        read: Callable[[str, str], object] | None = None,
         default: str = "",
         panel: str = "",
     ) -> None:
@@ -79,19 +83,19 @@ class Flag:
         """Return a default, given in SI, in the unit of the option."""
         return f"{value / _SI.get(self.unit, 1.0):.6g} {self.unit}"
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         # The rest of a mark is for texts, which are read before pydantic checks the value.
         least = None if self.least is None else self.least * _SI.get(self.unit, 1.0)
         return handler(source if least is None else Annotated[source, Ge(least)])
 
 
-def mark_of(hint: Any) -> Argument | Flag | None:
+def mark_of(hint: object) -> Argument | Flag | None:
     """Return the mark of an annotation."""
     marks = (mark for mark in get_args(hint)[1:] if isinstance(mark, (Argument, Flag)))
     return next(marks, None) if get_origin(hint) is Annotated else None
 
 
-def field_hints(cls: Any) -> dict[str, Any]:
+def field_hints(cls: Any) -> dict[str, object]:
     """Return the annotations of a dataclass by field: those with a mark, and nested dataclasses."""
     hints = get_type_hints(cls, include_extras=True)
     every = {f.name: hints[f.name] for f in fields(cls)}
@@ -99,13 +103,13 @@ def field_hints(cls: Any) -> dict[str, Any]:
 
 
 def field_values(
-    hints: Mapping[str, Any], given: Mapping[str, Any], read: Callable[[str, Any, Any], Any]
+    hints: Mapping[str, object], given: Mapping[str, object], read: Callable[[str, object, object], object]
 ) -> dict[str, Any]:
     """Return the values of fields, by their `field_hints`, as far as they are given.
 
     `read` gets name, given value and annotation. A nested dataclass is made of what is given for its fields.
     """
-    out = {}
+    out: dict[str, object] = {}
     for name, hint in hints.items():
         if is_dataclass(hint):
             assert isinstance(hint, type)

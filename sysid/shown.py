@@ -6,7 +6,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sized
 from dataclasses import fields
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,8 +42,8 @@ class Brief:
         return f"{type(self).__name__}({parts})"
 
 
-def _brief(value: Any) -> str:
-    if hasattr(value, "shape"):
+def _brief(value: object) -> str:
+    if isinstance(value, np.ndarray | np.generic):
         return str(value.shape) if value.shape else f"{value:g}"
     if isinstance(value, Sized) and not isinstance(value, str) and len(value) > 2:
         return f"<{len(value)}>"

@@ -26,9 +26,11 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sysid import exact_json
 from sysid.errors import SysidError
+from sysid.types import FloatArray
 
 # How often a refused replacement is tried, and how long to wait between [s].
 _TRIES, _PAUSE = 20, 0.05
@@ -207,7 +209,7 @@ class FileKind:
     remedy: str
     error_type: type[SysidError] = SysidError
 
-    def content(self, write: Callable[[Any], object]) -> bytes:
+    def content(self, write: Callable[[h5py.File], object]) -> bytes:
         """Return a file's bytes; `write` fills the open file."""
         buffer = io.BytesIO()
         with h5py.File(buffer, "w") as file:
@@ -216,7 +218,7 @@ class FileKind:
         return buffer.getvalue()
 
     @contextmanager
-    def opened(self, path: str | Path, content: bytes | None = None) -> Iterator[Any]:
+    def opened(self, path: str | Path, content: bytes | None = None) -> Iterator[h5py.File]:
         """Open a file of this kind, or its content, for reading.
 
         Raises `error_type` when it is missing, foreign, of another version, damaged or cut off, also where
@@ -242,14 +244,14 @@ class FileKind:
             raise self.error_type(f"{path}: damaged or cut off ({first}); {self.remedy}") from error
 
 
-def _check_content(file: Any) -> None:
+def _check_content(file: h5py.File) -> None:
     """Refuse (ValueError) what sysid never writes: links, data elsewhere, more values than bytes for them."""
     # An exception inside would be lost in the library.
     links: list[str] = []
     file.visititems_links(lambda name, link: None if isinstance(link, h5py.HardLink) else links.append(name))
     if links:
         raise ValueError(f"{links[0]} is a link")
-    items: dict[str, Any] = {}
+    items: dict[str, h5py.Dataset | h5py.Group] = {}
     file.visititems(lambda name, item: items.update({name: item}))
     for name, item in items.items():
         if not isinstance(item, h5py.Dataset):
@@ -272,7 +274,7 @@ def schema_of(path: Path, error_type: type[SysidError] = SysidError) -> str:
         raise error_type(f"{path}: damaged or cut off ({first}); write it again") from error
 
 
-def put(group: Any, name: str, values: Any, axes: str, unit: str = "1") -> None:
+def put(group: h5py.Group, name: str, values: ArrayLike, axes: str, unit: str = "1") -> None:
     """Write an array of numbers with the names of its axes and its unit; a long one is compressed."""
     data = np.asarray(values)
     packed = {"compression": "gzip", "shuffle": True} if data.size > 64 else {}
@@ -280,37 +282,37 @@ def put(group: Any, name: str, values: Any, axes: str, unit: str = "1") -> None:
     dataset.attrs["axes"], dataset.attrs["unit"] = axes, unit
 
 
-def put_texts(group: Any, name: str, texts: str | Iterable[str]) -> None:
+def put_texts(group: h5py.Group, name: str, texts: str | Iterable[str]) -> None:
     """Write a text, or a list of texts."""
     data = texts if isinstance(texts, str) else list(texts)
     group.create_dataset(name, data=data, dtype=h5py.string_dtype())
 
 
-def put_json(group: Any, name: str, value: Any) -> None:
+def put_json(group: h5py.Group, name: str, value: object) -> None:
     """Write a value as exact JSON; an attribute has room for 64 kB at most."""
     put_texts(group, name, exact_json.dumps(value, indent=None))
 
 
-def get_texts(group: Any, name: str) -> Any:
+def get_texts(group: h5py.Group, name: str) -> Any:
     """Return a text of `put_texts`, or an array of texts."""
     return group[name].asstr()[()]
 
 
-def get_json(group: Any, name: str) -> Any:
+def get_json(group: h5py.Group, name: str) -> Any:
     """Return a value of `put_json`."""
     return exact_json.loads(get_texts(group, name))
 
 
-def numbered(file: Any, name: str) -> list[Any]:
+def numbered(file: h5py.Group, name: str) -> list[h5py.Group]:
     """Return the groups ``NAME/1``, ``NAME/2``, … in order."""
     return [file[f"{name}/{i + 1}"] for i in range(len(file.get(name, ())))]
 
 
-def datasets(file: Any) -> dict[str, Any]:
+def datasets(file: h5py.File) -> dict[str, FloatArray]:
     """Return all arrays of a file by their path."""
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, FloatArray] = {}
 
-    def take(path: str, item: Any) -> None:
+    def take(path: str, item: h5py.Dataset | h5py.Group) -> None:
         if isinstance(item, h5py.Dataset):
             arrays[path] = item[()]
 

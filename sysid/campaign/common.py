@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import (
     AfterValidator,
@@ -27,21 +27,22 @@ from sysid.units import parse_quantity
 TrialUse = Literal["fit", "validate"]
 
 
-def _quantity(expected: str) -> Callable[[Any], float]:
-    return partial(quantity, unit=expected)
+def stated_in(unit: str) -> BeforeValidator:
+    """Return what makes a quantity of a campaign, such as ``"1.242 kg"``, an SI value of this dimension."""
+    return BeforeValidator(partial(quantity, unit=unit))
 
 
-Mass = Annotated[float, BeforeValidator(_quantity("kg")), Field(gt=0)]
-Inertia = Annotated[float, BeforeValidator(_quantity("kg·m²")), Field(gt=0)]
-Length = Annotated[float, BeforeValidator(_quantity("m"))]
-PositiveLength = Annotated[float, BeforeValidator(_quantity("m")), Field(gt=0)]
-Angle = Annotated[float, BeforeValidator(_quantity("rad"))]
-Time = Annotated[float, BeforeValidator(_quantity("s"))]
-PositiveTime = Annotated[float, BeforeValidator(_quantity("s")), Field(gt=0)]
-Speed = Annotated[float, BeforeValidator(_quantity("m/s")), Field(gt=0)]
-Acceleration = Annotated[float, BeforeValidator(_quantity("m/s²")), Field(gt=0)]
-Frequency = Annotated[float, BeforeValidator(_quantity("Hz")), Field(gt=0)]
-Voltage = Annotated[float, BeforeValidator(_quantity("V")), Field(gt=0)]
+Mass = Annotated[float, stated_in("kg"), Field(gt=0)]
+Inertia = Annotated[float, stated_in("kg·m²"), Field(gt=0)]
+Length = Annotated[float, stated_in("m")]
+PositiveLength = Annotated[float, stated_in("m"), Field(gt=0)]
+Angle = Annotated[float, stated_in("rad")]
+Time = Annotated[float, stated_in("s")]
+PositiveTime = Annotated[float, stated_in("s"), Field(gt=0)]
+Speed = Annotated[float, stated_in("m/s"), Field(gt=0)]
+Acceleration = Annotated[float, stated_in("m/s²"), Field(gt=0)]
+Frequency = Annotated[float, stated_in("Hz"), Field(gt=0)]
+Voltage = Annotated[float, stated_in("V"), Field(gt=0)]
 
 
 class TomlTable(BaseModel):
@@ -201,9 +202,10 @@ class CampaignSource:
 class CampaignTable(TomlTable):
     """Top level of every campaign; `source` is the file that it was read from."""
 
+    kind: str
     name: str = Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*$")
     parameters: ParameterChoices = ParameterChoices()
-    trials: tuple[Any, ...]
+    trials: tuple[TrialTable, ...]
     _source: CampaignSource = PrivateAttr()
 
     @property

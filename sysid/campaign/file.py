@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -92,7 +92,7 @@ def resolve_log(campaign_path: str | Path, log: str) -> Path:
     return path
 
 
-def _unfilled(value: Any, loc: tuple[int | str, ...], data: Any = None) -> Iterator[str]:
+def _unfilled(value: object, loc: tuple[int | str, ...], data: object = None) -> Iterator[str]:
     """Yield where a campaign holds a placeholder of `sysid new-campaign` instead of a value."""
     data = value if data is None else data
     if isinstance(value, str) and re.match(r"TODO\b", value):
@@ -103,7 +103,7 @@ def _unfilled(value: Any, loc: tuple[int | str, ...], data: Any = None) -> Itera
             yield from _unfilled(inner, (*loc, key), data)
 
 
-def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[str, Any]) -> str:
+def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[str, object]) -> str:
     """Turn pydantic's list into one sentence: unknown keys first, since they cause the missing ones."""
     details = sorted(error.errors(include_url=False), key=lambda d: d["type"] != "extra_forbidden")
     detail = details[0]
@@ -131,7 +131,7 @@ def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[s
     return sentence + (f" (and {len(details) - 1} more)" if len(details) > 1 else "")
 
 
-def _place(loc: tuple[int | str, ...], data: Any) -> str:
+def _place(loc: tuple[int | str, ...], data: object) -> str:
     """Write a location as the user sees it: trials are named, not numbered."""
     out = ""
     for key in loc:
@@ -156,7 +156,7 @@ def _known_keys(model: type[BaseModel], loc: Iterable[int | str]) -> list[str]:
     return sorted(model.model_fields)
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
+def _model_in(annotation: object) -> type[BaseModel] | None:
     """Return the table class inside an annotation such as ``tuple[GearTrial, ...]``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation

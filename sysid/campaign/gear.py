@@ -183,11 +183,6 @@ class GearCampaign(CampaignTable):
     fit: GearFitTable = GearFitTable()
     trials: tuple[GearTrial, ...]
 
-    @property
-    def every_log(self) -> Capture:
-        """What is stated of all logs."""
-        return self.capture
-
     @model_validator(mode="after")
     def _every_drop_has_one_body_and_a_plane(self) -> GearCampaign:
         for trial in self.trials:

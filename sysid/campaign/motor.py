@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -18,20 +18,21 @@ from sysid.campaign.common import (
     TrialTable,
     Voltage,
     Weights,
-    _quantity,
+    stated_in,
 )
 from sysid.campaign.logs import BenchLogOptions, SecondLog, Unit
+from sysid.loaders.options import quantity
 from sysid.types import Direction, Rotation
 
-Current = Annotated[float, BeforeValidator(_quantity("A")), Field(gt=0)]
-AngularSpeed = Annotated[float, BeforeValidator(_quantity("rad/s")), Field(gt=0)]
+Current = Annotated[float, stated_in("A"), Field(gt=0)]
+AngularSpeed = Annotated[float, stated_in("rad/s"), Field(gt=0)]
 
 
-def _speed_per_volt(value: Any) -> float:
+def _speed_per_volt(value: object) -> float:
     text = str(value).strip()
     if not isinstance(value, bool) and re.fullmatch(r"\+?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", text, re.IGNORECASE):
         raise ValueError(f'{text!r} has no unit; write kv = "{text} rpm/V", as motors are sold')
-    return _quantity("rad/s/V")(value)
+    return quantity(value, "rad/s/V")
 
 
 SpeedPerVolt = Annotated[float, BeforeValidator(_speed_per_volt), Field(gt=0)]
@@ -166,15 +167,10 @@ class MotorCampaign(CampaignTable):
     fit: FitTable = FitTable()
     trials: tuple[MotorTrial, ...]
 
-    @property
-    def every_log(self) -> BenchLogs:
-        """What is stated of all logs."""
-        return self.log
-
     @model_validator(mode="after")
     def _bidirectional_needs_neutral(self) -> MotorCampaign:
-        turns: set[Any] = {trial.direction for trial in self.trials}
-        if turns & {"reverse", "reversal"} and not self.command.reversible:
+        forward = all(trial.direction == "forward" for trial in self.trials)
+        if not forward and not self.command.reversible:
             raise ValueError(
                 "a reverse or reversal trial needs command.neutral, the command at rest, or "
                 "command.forward_half of bidirectional DShot"

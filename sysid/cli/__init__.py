@@ -10,13 +10,12 @@ import shlex
 import sys
 import tempfile
 import traceback
-import warnings
-from typing import Any
 
 import typer
 
 from sysid.cli.root import app, say
-from sysid.errors import SysidError, SysidWarning, printable
+from sysid.errors import SysidError, printable
+from sysid.journal import heard_warnings
 
 # The modules register their commands when they are imported, in the order of `sysid --help`.
 from sysid.cli import logs, fits, landing  # noqa: F401  # isort: skip
@@ -32,16 +31,7 @@ def main() -> None:
     if debug:  # anywhere on the line
         sys.argv = [argument for argument in sys.argv if argument != "--debug"]
     try:
-        with warnings.catch_warnings():
-            show = warnings.showwarning
-
-            def hear(message: Warning | str, category: type[Warning], *rest: Any, **more: Any) -> None:
-                if issubclass(category, SysidWarning):
-                    say(f"warning: {message}")
-                else:
-                    show(message, category, *rest, **more)
-
-            warnings.showwarning = hear
+        with heard_warnings(lambda sentence: say(f"warning: {sentence}")):
             app()
     except SysidError as error:
         if debug:

@@ -74,7 +74,7 @@ def command(app: typer.Typer, name: str, example: str) -> Callable[[Run], Run]:
         defaults = {p.name: p.default for p in inspect.signature(run).parameters.values()}
         hints.pop("return")
 
-        def call(**given: Any) -> None:
+        def call(**given: object) -> None:
             # An option that the user leaves out keeps the default of the dataclass or function.
             stated = {name: value for name, value in given.items() if value is not None}
             try:
@@ -109,7 +109,7 @@ def _folded(example: str) -> str:
 
 
 def _parameters(
-    hints: Mapping[str, Any], defaults: Mapping[str, Any], panel: str = ""
+    hints: Mapping[str, object], defaults: Mapping[str, Any], panel: str = ""
 ) -> Iterator[inspect.Parameter]:
     """Yield typer's parameters; nested dataclasses contribute theirs in their place, under their heading."""
     for name, hint in hints.items():
@@ -121,9 +121,9 @@ def _parameters(
         default = defaults.get(name, inspect.Parameter.empty)
         required = default is inspect.Parameter.empty
         kind, values = _kind(get_args(hint)[0])
-        info: Any
+        info: object
         if isinstance(mark, Argument):
-            metavar = name.upper() if kind in _VALUES else "|".join(word.value for word in kind)
+            metavar = "|".join(kind) if issubclass(kind, StrEnum) else name.upper()
             info = typer.Argument(help=mark.help, show_default=not required, metavar=metavar)
         else:
             assert isinstance(mark, Flag)
@@ -150,7 +150,7 @@ def _parameters(
         yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def _value(name: str, value: Any, hint: Any) -> Any:
+def _value(name: str, value: Any, hint: object) -> object:
     """Return the value of a field from what typer parsed."""
     mark = mark_of(hint)
     if isinstance(value, Enum):
@@ -169,12 +169,13 @@ def _value(name: str, value: Any, hint: Any) -> Any:
     return mark.quantity(value, option)
 
 
-def _kind(hint: Any) -> tuple[Any, bool]:
+def _kind(hint: Any) -> tuple[type, bool]:
     """Return the type of one value, as typer understands it, and whether the user may give several."""
     if get_origin(hint) in (Union, UnionType):
         (hint,) = (member for member in get_args(hint) if member is not NoneType)
     if get_origin(hint) is tuple:
         return get_args(hint)[0], True
     if get_origin(hint) is Literal:
-        return StrEnum("Choice", {word: word for word in get_args(hint)}), False
+        words: tuple[str, ...] = get_args(hint)
+        return StrEnum("Choice", dict(zip(words, words, strict=True))), False  # type: ignore[return-value]
     return hint, False

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -30,6 +32,9 @@ from sysid.workflows.options import (
     TrustOptions,
 )
 
+if TYPE_CHECKING:
+    from sysid.fit.result import FitResult
+
 
 @command(app, "fit-motor", "sysid fit-motor data_samples/motor")
 def fit_motor(campaign: CampaignPath, options: FitOptions, strict: Strict = False, json: Json = False) -> int:
@@ -50,14 +55,16 @@ def fit_gear(
     """Fit a landing gear to motion-capture logs of drops."""
     from sysid.workflows.fit import fit_gear as fit
 
-    return _fit(fit, campaign, options, strict, json, surface=surface)
+    return _fit(partial(fit, surface=surface), campaign, options, strict, json)
 
 
-def _fit(fit: Any, campaign: Path, options: FitOptions, strict: bool, json: bool, **more: Any) -> int:
+def _fit(
+    fit: Callable[..., tuple[FitResult, Path]], campaign: Path, options: FitOptions, strict: bool, json: bool
+) -> int:
     from sysid.workflows.show import is_unfinished, print_fit, stopped_by_user
 
     tell = unless(options.quiet)
-    result, folder = fit(campaign, replace(options, quiet=options.quiet or json), say=tell, **more)
+    result, folder = fit(campaign, replace(options, quiet=options.quiet or json), say=tell)
     if json or not options.quiet:
         print_fit(result, folder, json)
     if stopped_by_user(result):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, TypeVar
 
 from sysid.cli.adapter import command
 from sysid.cli.root import app, unless
@@ -17,6 +17,8 @@ from sysid.workflows.options import (
     LandingMapOptions,
     SimulateOptions,
 )
+
+Options = TypeVar("Options", LandingMapOptions, ImpulseMapOptions, DesignStudyOptions)
 
 
 @command(
@@ -91,7 +93,7 @@ def static_limits(
     print_static_limits(sets, thrust, json)
 
 
-def _journalled(compute: Callable[[Any], object], options: Any) -> int:
+def _journalled(compute: Callable[[Options], object], options: Options) -> int:
     """Compute with a journal; return the exit code, 130 where the user stopped the computation."""
     with Journal(unless(options.compute.quiet), "landings"):
         return 130 if compute(options) is None else 0

@@ -18,17 +18,13 @@ from sysid.storage import write_file
 __all__ = ["export", "load_parameter_sets"]
 
 
-def _to_json(sets: ParameterSets) -> bytes:
-    return sets.document().text().encode("utf-8")
-
-
 def _from_json(data: bytes, place: object) -> ParameterSets:
     document = SetsDocument.parse(data.decode("utf-8-sig"), place, ExportError)
     return ParameterSets.from_document(document)
 
 
 _WRITERS = {
-    ".json": _to_json,
+    ".json": lambda sets: sets.document().text().encode("utf-8"),
     ".csv": spreadsheet.to_csv,
     ".h5": binary.to_hdf5,
     ".mat": binary.to_mat,

@@ -12,7 +12,6 @@ import io
 import json
 import re
 import zlib
-from typing import Any
 
 import h5py
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from sysid.errors import ExportError
 from sysid.parameter_sets import ParameterSets, SetsMetadata, interval_columns
 from sysid.storage import FileKind, put, put_texts
+from sysid.types import FloatArray
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MAT_SIGNATURE = b"MATLAB 5.0 MAT-file"
@@ -29,7 +29,7 @@ _NUMBERS = ("nominal", "lower", "upper")
 _ARRAYS = ("values", "nrmse", "at_bound", "nrmse_by_trial")
 
 
-def _records(sets: ParameterSets) -> dict[str, NDArray[Any]]:
+def _records(sets: ParameterSets) -> dict[str, NDArray[np.object_] | FloatArray]:
     texts = {
         key: np.array([getattr(r, key) or "" for r in sets.parameters], dtype=object) for key in _COLUMNS
     }
@@ -46,7 +46,7 @@ def to_hdf5(sets: ParameterSets) -> bytes:
     """Return the file."""
     metadata = sets.metadata()
 
-    def write(file: Any) -> None:
+    def write(file: h5py.File) -> None:
         file.attrs["kind"] = sets.kind
         put(file, "values", sets.values, "set (best first), parameter", "in parameters/unit")
         put(file, "nrmse", sets.nrmse, "set")
@@ -80,11 +80,12 @@ def from_hdf5(data: bytes, place: object) -> ParameterSets:
     return _assembled(metadata, arrays)
 
 
-def _assembled(metadata: SetsMetadata, arrays: dict[str, Any]) -> ParameterSets:
+def _assembled(metadata: SetsMetadata, arrays: dict[str, FloatArray]) -> ParameterSets:
     missing = {*_ARRAYS} - {*arrays}
     if missing:
         raise ValueError(f"{', '.join(sorted(missing))} missing")
-    return ParameterSets.from_metadata(metadata, **arrays)
+    values, nrmse, by_trial = (arrays[key] for key in ("values", "nrmse", "nrmse_by_trial"))
+    return ParameterSets.from_metadata(metadata, values, nrmse, arrays["at_bound"].astype(np.int8), by_trial)
 
 
 def _field_names(names: tuple[str, ...]) -> dict[str, str]:
@@ -111,7 +112,7 @@ def to_mat(sets: ParameterSets) -> bytes:
         for i, name in enumerate(sets.names):
             by_set[0, s][fields[name]] = sets.values[s, i]
     metadata = sets.metadata()
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         "schema": metadata.schema_,
         "version": float(metadata.version),
         "kind": sets.kind,
@@ -129,8 +130,9 @@ def to_mat(sets: ParameterSets) -> bytes:
     }
     from scipy.io import savemat  # takes as long to import as all else that `sysid show` needs
 
-    stream: Any = io.BytesIO()
-    savemat(stream, {"sysid": content}, long_field_names=True, do_compression=True, oned_as="row")
+    stream = io.BytesIO()
+    # scipy's stubs know paths only.
+    savemat(stream, {"sysid": content}, long_field_names=True, do_compression=True, oned_as="row")  # type: ignore[arg-type]
     return stream.getvalue()
 
 
@@ -140,15 +142,14 @@ def from_mat(data: bytes, place: object) -> ParameterSets:
     from scipy.io.matlab import MatReadError
 
     try:
-        stream: Any = io.BytesIO(data)
-        variables = loadmat(stream, squeeze_me=False)
+        variables = loadmat(io.BytesIO(data), squeeze_me=False)  # type: ignore[arg-type]
     except (MatReadError, zlib.error) as error:
         raise ValueError(str(error)) from error
-    content: Any = variables["sysid"][0, 0] if "sysid" in variables else np.empty(())
-    names = content.dtype.names or ()
-    text = str(content["metadata_json"].item()) if "metadata_json" in names else "{}"
+    record = variables.get("sysid", np.empty(()))
+    content = {name: record[name][0, 0] for name in record.dtype.names or ()}
+    text = str(content["metadata_json"].item()) if "metadata_json" in content else "{}"
     metadata = SetsMetadata.parse(text, place, ExportError)
-    arrays = {key: np.asarray(content[key], np.float64) for key in _ARRAYS if key in names}
+    arrays = {key: np.asarray(content[key], np.float64) for key in _ARRAYS if key in content}
     # MATLAB makes a matrix of a row, and drops a last axis of one.
     arrays["nrmse"] = arrays["nrmse"].reshape(len(metadata.runs))
     shape = len(metadata.runs), len(metadata.trials), len(metadata.channels)

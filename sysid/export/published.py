@@ -17,7 +17,7 @@ import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -123,7 +123,11 @@ def _sets(
     nrmse: float,
     channels: Mapping[str, str],
     sigma: Mapping[str, float] | None = None,
-    **more: Any,
+    *,
+    kind: str,
+    settings: Mapping[str, str],
+    provenance: Mapping[str, object],
+    warnings: tuple[str, ...],
 ) -> ParameterSets:
     """Return one set; what the model has beyond the paper's tables (instruments) takes its default."""
     if unknown := set(printed) - set(table):
@@ -141,6 +145,7 @@ def _sets(
             )
         )  # fmt: skip
     return ParameterSets(
+        kind=kind,
         name=name,
         parameters=tuple(records),
         values=np.array([values]),
@@ -154,7 +159,9 @@ def _sets(
         channel_units=tuple(channels.values()),
         channel_weights=(1.0,) * len(channels),
         nrmse_by_trial=np.empty((1, 0, len(channels))),
-        **more,
+        settings=settings,
+        provenance=provenance,
+        warnings=warnings,
     )
 
 

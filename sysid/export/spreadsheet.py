@@ -10,8 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -38,12 +37,12 @@ def to_csv(sets: ParameterSets) -> bytes:
         *_INTERVAL, "measured_low", "measured_high", "stated_sigma", "meaning", "source", "group", "trial",
     ]  # fmt: skip
     metadata = sets.metadata().model_dump(exclude={"parameters"})
-    rows: list[dict[str, Any]] = [
+    rows: list[dict[str, object]] = [
         {"row": "about", "name": key, "meaning": exact_json.dumps(value, indent=None)}
         for key, value in metadata.items()
     ]
     for known in sets.known.values():
-        row: dict[str, Any] = {key: getattr(known.record, key) for key in _RECORD}
+        row: dict[str, object] = {key: getattr(known.record, key) for key in _RECORD}
         row |= {"row": "parameter", "mean": known.mean, "sigma": known.sigma}
         if known.record.measured_range is not None:
             row["measured_low"], row["measured_high"] = known.record.measured_range
@@ -63,7 +62,7 @@ def to_csv(sets: ParameterSets) -> bytes:
 
 
 def csv_text(
-    rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None, *, line_end: str = "\n"
+    rows: Sequence[Mapping[str, object]], columns: Sequence[str] | None = None, *, line_end: str = "\n"
 ) -> str:
     """Return rows as CSV under the given columns, by default the keys of the first row.
 
@@ -77,11 +76,11 @@ def csv_text(
     return stream.getvalue()
 
 
-def _inert(cell: Any) -> Any:
+def _inert(cell: object) -> object:
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(_COMPUTED) else cell
 
 
-def _by_set(values: Any) -> dict[str, Any]:
+def _by_set(values: Iterable[float]) -> dict[str, object]:
     return {f"set_{s + 1}": float(value) for s, value in enumerate(values)}
 
 
@@ -96,7 +95,7 @@ def from_csv(data: bytes, place: object) -> ParameterSets:
         raise ValueError("the last row, which counts the others, is missing or disagrees")
     if any(None in row or None in row.values() for row in rows):
         raise ValueError("a row has more or fewer cells than the header")
-    metadata: dict[str, Any] = {
+    metadata: dict[str, object] = {
         row["name"]: exact_json.loads(row["meaning"]) for row in rows if row["row"] == "about"
     }
     parameters = [row for row in rows if row["row"] == "parameter"]
@@ -134,9 +133,9 @@ def _rows(text: str) -> list[dict[str, str]]:
     return [{k: c[1:] if isinstance(c, str) and c[:1] == "'" else c for k, c in row.items()} for row in rows]
 
 
-def _record(row: dict[str, str]) -> dict[str, Any]:
+def _record(row: dict[str, str]) -> dict[str, object]:
     # Files of earlier versions have neither group nor trial.
-    record: dict[str, Any] = {key: row.get(key, "") for key in _TEXTS}
+    record: dict[str, object] = {key: row.get(key, "") for key in _TEXTS}
     record |= {key: _number(row[key]) for key in _NUMBERS}
     record["scale"] = row["scale"] or None
     low, high = _number(row["measured_low"]), _number(row["measured_high"])

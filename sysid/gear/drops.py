@@ -11,8 +11,7 @@ import numpy as np
 from sysid.campaign import GearCampaign, GearTrial
 from sysid.campaign.common import TrialUse
 from sysid.campaign.file import resolve_log
-from sysid.campaign.logs import CaptureLogOptions
-from sysid.campaign.read_logs import load_stated, warn_of_idle_options
+from sysid.campaign.logs import CaptureLogOptions, load_stated, warn_of_idle_options
 from sysid.errors import LogError
 from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget

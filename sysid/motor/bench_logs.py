@@ -11,9 +11,8 @@ import numpy as np
 
 from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.campaign.file import resolve_log
-from sysid.campaign.logs import BenchLogOptions
+from sysid.campaign.logs import BenchLogOptions, load_stated, warn_of_idle_options
 from sysid.campaign.motor import StaticLog
-from sysid.campaign.read_logs import load_stated, warn_of_idle_options
 from sysid.errors import LogError
 from sysid.journal import Finding, note, notice
 from sysid.loaders import detect

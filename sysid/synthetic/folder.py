@@ -44,7 +44,7 @@ def truth_text(
     kind: str,
     table: ParameterTable,
     values: Mapping[str, float],
-    facts: Mapping[str, Any],
+    facts: Mapping[str, object],
     fact_units: Mapping[str, str],
 ) -> str:
     """Return the truth file: the facts of the trials, then every parameter [SI], then units by key.

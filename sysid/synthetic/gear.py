@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sysid.errors import CampaignError
 from sysid.gear import model
-from sysid.synthetic.folder import refuse_existing, truth_text, write_campaign
+from sysid.synthetic.folder import Content, refuse_existing, truth_text, write_campaign
 from sysid.synthetic.motion_capture import Take, motive_csv, observe, pose_table_csv
 from sysid.trials.capture import CaptureFrame
 from sysid.types import FloatArray
@@ -160,7 +160,7 @@ def synthesize_gear(
     parameters: Mapping[str, float] | None = None,
     name: str | None = None,
     force: bool = False,
-    simulate: Callable[..., Any] = model.simulate,
+    simulate: Callable[..., model.GearTrajectory] = model.simulate,
     **lab: Any,
 ) -> Path:
     """Write a campaign of drops with known truth: ``campaign.toml``, one log per drop and ``truth.json``.
@@ -196,7 +196,7 @@ def synthesize_gear(
         )
     setup = CaptureLab(**lab)
     true = {**model.parameters_on(surface).nominal, **(parameters or {})}
-    logs: dict[str, Any] = {}
+    logs: dict[str, Content] = {}
     facts, trials = [], []
     for number, plan in enumerate(drops, start=1):
         # Children of one seed: a drop stays the same when another one is added.
@@ -241,7 +241,7 @@ def _simulate(
     surface: str,
     rate: float,
     source: np.random.Generator,
-    simulate: Callable[..., Any],
+    simulate: Callable[..., model.GearTrajectory],
 ) -> _Truth:
     """Simulate one drop on capture frames that do not coincide with its release."""
     gravity = true["gravity"]
@@ -325,7 +325,7 @@ def _board_markers(slope: float, frame: CaptureFrame, hinge: FloatArray) -> Floa
     return hinge + np.array(local) @ frame.matrix
 
 
-def _facts(number: int, truth: _Truth, log: str) -> dict[str, Any]:
+def _facts(number: int, truth: _Truth, log: str) -> dict[str, object]:
     """Return what the truth file states of a drop; its clock is the clock of its log."""
     plan = truth.plan
     shift = _EPOCH if plan.export == "pose-table" else 0.0

@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from sysid.errors import CampaignError
 from sysid.motor import model
 from sysid.synthetic import bench
-from sysid.synthetic.folder import refuse_existing, truth_text, write_campaign
+from sysid.synthetic.folder import Content, refuse_existing, truth_text, write_campaign
 from sysid.types import Direction
 
 MINIMUM, NEUTRAL, MAXIMUM = 1000.0, 1500.0, 2000.0
@@ -110,15 +110,15 @@ def synthesize_motor(
         raise CampaignError(f"rate: {rate:g} Hz is no load-cell log; expected 1 kHz or more")
     true = {**model.PARAMETERS.nominal, **TRUE_MOTOR, **(parameters or {})}
     spread = bench.NOISE if noise else bench.Sizes(0.0, 0.0, 0.0)
-    logs: dict[str, Any] = {}
+    logs: dict[str, Content] = {}
     facts, entries = [], []
     for number, plan in enumerate(trials, start=1):
         source = np.random.default_rng([seed, number])
-        log, fact = _trial(plan, true, rate, spread, source, ideal_reversal)
+        log, window, fact = _trial(plan, true, rate, spread, source, ideal_reversal)
         file = f"{plan.name}.{'csv' if plan.export == 'csv' else 'h5'}"
         logs[file] = bench.load_cell_csv(log) if plan.export == "csv" else bench.load_cell_hdf5(log)
         facts.append({"name": plan.name, "log": file, "direction": plan.direction, "use": plan.use, **fact})
-        entries.append(_trial_text(plan, file, fact["window_start"]))
+        entries.append(_trial_text(plan, file, window))
     stands = {}
     for number, (kind, direction) in enumerate(product(("static", "no-load"), ("forward", "reverse")), 101):
         source = np.random.default_rng([seed, number])
@@ -148,8 +148,8 @@ def _trial(
     noise: bench.Sizes,
     source: np.random.Generator,
     ideal_reversal: bool,
-) -> tuple[bench.LoadCellLog, dict[str, Any]]:
-    """Simulate one trial and record it with tare, noise and quantization."""
+) -> tuple[bench.LoadCellLog, float, dict[str, object]]:
+    """Simulate a trial, record it with tare, noise and quantization; return log, window start [s], facts."""
     first = round(float(source.uniform(3.0, 40.0)), 4)
     count = round((_REST + _IDLE + plan.hold * len(plan.levels)) * rate)
     time = first + np.arange(count) / rate
@@ -169,19 +169,20 @@ def _trial(
         bench.quantized(run.thrust + tare_force + noise.force * shake[1], bench.RESOLUTION.force),
         bench.quantized(run.stator_torque + tare_torque + noise.torque * shake[2], bench.RESOLUTION.torque),
     )
+    window = round(first + _REST + _IDLE - _STEADY, 4)
     fact = {
         "log_start": first,
-        "window_start": round(first + _REST + _IDLE - _STEADY, 4),
+        "window_start": window,
         "tare_force": tare_force,
         "tare_torque": tare_torque,
         "command_steps": [[round(float(t), 4), float(u)] for t, u in zip(instants, levels, strict=True)],
     }
-    return log, fact
+    return log, window, fact
 
 
 def _stand_points(
     forward: bool, loaded: bool, true: Mapping[str, float], noise: bool, source: np.random.Generator
-) -> tuple[bench.StandPoints, dict[str, Any]]:
+) -> tuple[bench.StandPoints, dict[str, float]]:
     """Walk up and down the commands on a battery that sags, one averaged point per step."""
     rise = np.linspace(0.0, 1.0, 11)
     u = np.concatenate([rise, rise[-2::-1]]) * (1.0 if forward else -1.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Any
 
 import sysid
 from sysid import exact_json
@@ -54,7 +53,8 @@ def run_demo(data: Path | None, out: Path, quiet: bool = False, say: Say = None,
     """
     samples, started = find_samples(data), time.perf_counter()
     tell = say or (lambda sentence: None)
-    written: list[dict[str, Any]] = []
+    written: list[dict[str, object]] = []
+    reports: list[Path] = []
     tables: list[Table] = []
     for number, (name, words) in enumerate(_CAMPAIGNS.items(), start=1):
         tell(f"{number}/{len(_CAMPAIGNS)} {words}")
@@ -62,6 +62,7 @@ def run_demo(data: Path | None, out: Path, quiet: bool = False, say: Say = None,
         result, folder = fit_campaign(samples / name / "campaign.toml", options, say=say)
         nrmse, outputs = result.nrmse.tolist(), _outputs(result, folder)
         tell(f"wrote {outputs['report']}")
+        reports.append(outputs["report"].resolve())
         for what, path in outputs.items():
             written.append({"kind": result.kind, "what": what, "path": str(path), "nrmse": nrmse})
         truth = exact_json.loads((samples / name / "truth.json").read_text(encoding="utf-8"))
@@ -74,9 +75,8 @@ def run_demo(data: Path | None, out: Path, quiet: bool = False, say: Say = None,
             print_table(one)
         print(f"done in {seconds:.0f} s; all of it lies in {out}. Reports, to open in a browser:")
         # Plain lines: a path that a table folds cannot be copied.
-        for row in written:
-            if row["what"] == "report":
-                print(f"  {Path(row['path']).resolve()}")
+        for report in reports:
+            print(f"  {report}")
         print("next, with your own logs: sysid new-campaign gear --minimal --from LOG... (or motor)")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -57,7 +56,7 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
         return design_study(name, fleet, changes, controller, settings, where)
 
     def write(study: DesignStudy) -> None:
-        more: dict[str, Any] = {"controller": asdict(controller)}
+        more: dict[str, object] = {"controller": asdict(controller)}
         if options.controller_file is not None:
             more["controller_file"] = seen_from(options.out.parent, options.controller_file)
         write_study(options.out, study, origin | more)

@@ -8,7 +8,8 @@ from dataclasses import asdict
 from itertools import count
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+
+import h5py
 
 from sysid.documents import label
 from sysid.errors import ExportError
@@ -88,7 +89,7 @@ def _files(out: Path | None, force: bool) -> list[Path]:
     return files
 
 
-def outcome_row(rank: int, landing: Landing) -> dict[str, Any]:
+def outcome_row(rank: int, landing: Landing) -> dict[str, object]:
     """Return the outcome of a landing."""
     return {
         "set": rank,
@@ -99,12 +100,12 @@ def outcome_row(rank: int, landing: Landing) -> dict[str, Any]:
     }
 
 
-def headed(row: Mapping[str, Any]) -> dict[str, Any]:
+def headed(row: Mapping[str, object]) -> dict[str, object]:
     """Return a row by the heads of its columns."""
     return {label(name): value for name, value in row.items()}
 
 
-def conditions(landing: Landing) -> dict[str, Any]:
+def conditions(landing: Landing) -> dict[str, object]:
     """Return under what a landing happened: surface, controller, touchdown and rules."""
     scenario, rules = landing.scenario, landing.rules
     return {
@@ -121,8 +122,8 @@ def conditions(landing: Landing) -> dict[str, Any]:
 def _write(
     files: Sequence[Path],
     landings: Sequence[Landing],
-    rows: Sequence[dict[str, Any]],
-    sources: dict[str, Any],
+    rows: Sequence[dict[str, object]],
+    sources: dict[str, object],
 ) -> None:
     if len(files) == 1:
         write_file(files[0], LANDINGS.content(lambda file: _hdf5(file, landings, rows, sources)), ExportError)
@@ -140,7 +141,10 @@ def _write(
 
 
 def _hdf5(
-    file: Any, landings: Sequence[Landing], rows: Sequence[dict[str, Any]], sources: dict[str, Any]
+    file: h5py.File,
+    landings: Sequence[Landing],
+    rows: Sequence[dict[str, object]],
+    sources: dict[str, object],
 ) -> None:
     first = landings[0]
     settings = {
@@ -162,7 +166,7 @@ def _hdf5(
             put_texts(group, f"events/{key}", [event[key] for event in events])
 
 
-def _table(rows: Sequence[dict[str, Any]], first: Landing) -> Table:
+def _table(rows: Sequence[dict[str, object]], first: Landing) -> Table:
     title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
     title += f"{first.scenario.speed:g} m/s: {first.label}"
     cells = [[f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -122,7 +121,7 @@ def _warn_of_strangers(
         )
 
 
-def limits_of(fleets: Fleets, controllers: Sequence[Controller]) -> list[dict[str, Any]]:
+def limits_of(fleets: Fleets, controllers: Sequence[Controller]) -> list[dict[str, object]]:
     """Return the static limits of each surface's first set under each controller's last command.
 
     The keys of each are ``surface``, ``controller`` and the fields of `DrawnLimits`.

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from rich.text import Text
 
@@ -63,7 +63,7 @@ def chosen_controllers(
 
 def open_fleets(
     motors: MotorOptions, gears: Sequence[Path], out: Path | None = None
-) -> tuple[Fleets, dict[str, Any]]:
+) -> tuple[Fleets, dict[str, object]]:
     """Return the drones of every gear file, and where their numbers come from, for the result in `out`.
 
     Raises `SysidError` when sets cannot be used, or two gear files have one surface.
@@ -86,7 +86,7 @@ def open_fleets(
     return fleets, origin | {"gear": gear, "motor": _origin(motors.motor, motor, out)}
 
 
-def _origin(path: Path, sets: ParameterSets, out: Path | None) -> dict[str, Any]:
+def _origin(path: Path, sets: ParameterSets, out: Path | None) -> dict[str, object]:
     source = {"file": path.name, "name": sets.name, "sets": len(sets), "nrmse": sets.nrmse.tolist()}
     place = {} if out is None else {"from_result_folder": seen_from(out.parent, path)}
     return source | dict(sets.provenance) | place
@@ -107,7 +107,7 @@ def check_result(what: str, out: Path, force: bool, *pictures: Path) -> None:
 
 def compute_and_write(
     out: Path,
-    identity: Mapping[str, Any],
+    identity: Mapping[str, object],
     blocks: tuple[int, str],
     compute: Callable[[Computing], Computed | None],
     write: Callable[[Computed], object],

@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, PackageLoader
 
@@ -61,7 +60,7 @@ def _look(kind: str, log: Path) -> LogReport:
     return report
 
 
-def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, Any]:
+def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, object]:
     """Return what the template of a kind is filled with."""
     drops = [report.drop for report in reports if report.drop is not None]
     most = max((_span(report, "thrust") for report in reports), default=0.0)

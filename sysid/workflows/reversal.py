@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -93,7 +92,7 @@ class LogReversals:
     lost: int
     notes: tuple[Finding, ...]
 
-    def document(self, slow: float) -> dict[str, Any]:
+    def document(self, slow: float) -> dict[str, object]:
         """Return what `--json` prints."""
         return {
             "log": self.name,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from fakes.places import SAMPLES
-from sysid.campaign import read_logs
+from sysid.campaign import logs
 from sysid.fit.store import read_fit
 from sysid.journal import Finding, Journal, notice
 from sysid.loaders import load
@@ -137,7 +137,7 @@ def test_a_fit_opens_each_log_once_and_its_report_once_more(kind, tmp_path, monk
         opened[Path(path).name] += 1
         return load(path, **options)
 
-    monkeypatch.setattr(read_logs, "load", counted)
+    monkeypatch.setattr(logs, "load", counted)
     small = {"population": 8, "runs": 1, "max_generations": 1, "finish": "none", "quiet": True}
     options = FitOptions(out=tmp_path / "fit", check=False, trust=kind == "motor", **small)
     _, folder = fit_campaign(SAMPLES / kind / "campaign.toml", options)
