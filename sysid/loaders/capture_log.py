@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
@@ -189,10 +189,9 @@ def body_name(path: str, declared: object) -> str:
     return declared or "body"
 
 
-def _marker_bodies(
-    path: str, markers: Collection[str], options: CaptureOptions, rigid_body: object
-) -> dict[str, list[str]]:
+def _marker_bodies(path: str, raw: RawCapture, options: CaptureOptions) -> dict[str, list[str]]:
     """Return body name -> its markers, as declared, or all whose name begins with the body's."""
+    markers, rigid_body = raw.markers, None if raw.chosen else options.rigid_body
     if options.bodies is not None and not isinstance(options.bodies, Mapping):
         raise LogError(
             f"{path}: bodies = {options.bodies!r} is no table; expected for example "
@@ -241,15 +240,13 @@ def _recording(
         if raw.marks_lost and lost:
             frames = len(body.orientation)
             notes.append(note("body-lost", f"{body.name} is lost in {lost} of {frames} frames"))
-    if options.bodies is not None or (options.rigid_body is not None and not raw.chosen):
-        rigid_body = None if raw.chosen else options.rigid_body
-        for fitted, markers in _marker_bodies(path, raw.markers, options, rigid_body).items():
-            points = np.stack([raw.markers[marker][1] for marker in markers], axis=1)
-            rotation, origin, residual, fit = fit_pose(path, fitted, markers, points)
-            turn = matrix_quaternions(rotation, np.isfinite(residual))
-            time = raw.markers[markers[0]][0]
-            bodies.append(Body(fitted, time, origin, turn, extra={"residual": ("m", residual)}))
-            notes.append(fit)
+    for fitted, markers in _marker_bodies(path, raw, options).items():
+        points = np.stack([raw.markers[marker][1] for marker in markers], axis=1)
+        rotation, origin, residual, fit = fit_pose(path, fitted, markers, points)
+        turn = matrix_quaternions(rotation, np.isfinite(residual))
+        time = raw.markers[markers[0]][0]
+        bodies.append(Body(fitted, time, origin, turn, extra={"residual": ("m", residual)}))
+        notes.append(fit)
     channels: dict[str, Channel] = {}
     for body in bodies:
         parts = {"position": ("m", body.position), "orientation": ("1", body.orientation), **body.extra}

@@ -62,9 +62,7 @@ def order_rows(
     notes: list[Finding] = []
     timed = np.isfinite(numbers.columns[time_column])
     if not timed.all():
-        first = numbers.lines[np.argmin(timed)]
-        count = int((~timed).sum())
-        sentence = f"rows without a time, left out: {count} (first: {numbers.row_word} {first})"
+        sentence = numbers.counted("rows without a time, left out", ~timed)
         notes.append(note("rows-without-time", sentence))
         numbers.keep(timed)
     if not numbers.lines.size:
@@ -96,22 +94,16 @@ def order_rows(
         notes.append(note("rows-out-of-order", sentence))
         numbers.keep(later)
         return time[later], notes
-    repeats = steps == 0
+    repeats: BoolArray = np.append(False, steps == 0)
     if repeats.any():
         if repeats.sum() > 0.2 * time.size and time.size > 10:
-            row = int(np.argmax(repeats))
             raise LogError(
-                f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: {int(repeats.sum())} of "
-                f"{time.size} rows repeat the time of the row before, "
-                f"so the clock is too coarse; {coarse}"
+                f"{path}, {numbers.row_word} {numbers.lines[np.argmax(repeats)]}: {int(repeats.sum())} of "
+                f"{time.size} rows repeat the time of the row before, so the clock is too coarse; {coarse}"
             )
-        last: BoolArray = np.append(~repeats, True)
-        sentence = (
-            f"rows that repeat the time of the row before: {int(repeats.sum())} "
-            f"(first: {numbers.row_word} {numbers.lines[np.argmax(repeats) + 1]}); "
-            "the last of each was kept"
-        )
-        notes.append(note("repeated-times", sentence))
+        sentence = numbers.counted("rows that repeat the time of the row before", repeats)
+        notes.append(note("repeated-times", f"{sentence}; the last of each was kept"))
+        last: BoolArray = np.append(~repeats[1:], True)
         numbers.keep(last)
         time = time[last]
     return time, notes

@@ -131,10 +131,14 @@ class Numbers:
         """Return columns side by side, (n, k)."""
         return np.column_stack([self.columns[index] for index in columns])
 
-    def blank(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
-        """Make all numbers of some rows (k,) missing."""
+    def blank(self, rows: NDArray[np.bool_]) -> None:
+        """Make all numbers of some rows (n,) missing."""
         for values in self.columns.values():
             values[rows] = np.nan
+
+    def counted(self, what: str, rows: NDArray[np.bool_]) -> str:
+        """Return how many rows (n,) are `what`, and where the first is, for a note."""
+        return f"{what}: {int(rows.sum())} (first: {self.row_word} {self.lines[np.argmax(rows)]})"
 
     def keep(self, mask: NDArray[np.bool_]) -> None:
         """Keep only the rows where `mask` (n,) is true."""
@@ -213,19 +217,13 @@ def read_numbers(
     short = _short(path, body, least, free_text, ends)
     if short.any():
         numbers.blank(short)
-        sentence = (
-            f"rows with fewer than {least} cells: {int(short.sum())} (first: line "
-            f"{body.lines[np.argmax(short)]}); taken as missing"
-        )
-        notes.append(note("short-rows", sentence))
-    shifted = _shifted(path, body, head, wanted, surplus, free_text)
-    if shifted:
-        numbers.blank(np.array(shifted))
-        sentence = (
-            f"rows with a cell too many, whose numbers are not below their names: {len(shifted)} (first: "
-            f"line {body.lines[shifted[0]]}); taken as missing"
-        )
-        notes.append(note("shifted-rows", sentence))
+        sentence = numbers.counted(f"rows with fewer than {least} cells", short)
+        notes.append(note("short-rows", f"{sentence}; taken as missing"))
+    shifted = np.isin(np.arange(short.size), _shifted(path, body, head, wanted, surplus, free_text))
+    if shifted.any():
+        numbers.blank(shifted)
+        what = "rows with a cell too many, whose numbers are not below their names"
+        notes.append(note("shifted-rows", f"{numbers.counted(what, shifted)}; taken as missing"))
     infinite = sum(int(np.count_nonzero(np.isinf(values))) for values in columns.values())
     if infinite:
         for values in columns.values():
@@ -340,7 +338,7 @@ def _shifted(
             blank = any(not cells[column].strip() for column in wanted if column)  # 0 may be an unused clock
             if blank and cells[free_text].strip() and not _is_words(cells, free_text):
                 shifted.append(row)
-    return sorted(shifted)
+    return shifted
 
 
 def parse_number(cell: str, decimal: str = ".") -> float:

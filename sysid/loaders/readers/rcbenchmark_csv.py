@@ -58,11 +58,10 @@ def _point_notes(numbers: Numbers, time: FloatArray | None) -> list[Finding]:
     notes = [note("static-map", sentence)]
     rows = [row.tobytes() for row in numbers.stacked(numbers.columns)]
     first = {row: place for place, row in reversed(list(enumerate(rows)))}
-    twice = [place for place, row in enumerate(rows) if first[row] != place]
-    if twice:
-        line = numbers.lines[twice[0]]
-        sentence = f"rows that stand twice: {len(twice)} (first: line {line}); each counts as a point"
-        notes.append(Finding("repeated-points", sentence))
+    twice = np.array([first[row] != place for place, row in enumerate(rows)])
+    if twice.any():
+        sentence = numbers.counted("rows that stand twice", twice)
+        notes.append(Finding("repeated-points", f"{sentence}; each counts as a point"))
     # A row or two at the start may be left over from an earlier run.
     back = numbers.lines[3:][np.diff(time[2:]) < 0] if time is not None else numbers.lines[:0]
     if back.size:
