@@ -135,6 +135,12 @@ class Scores:
     by_channel: FloatArray
     cause: NDArray[np.int8]
 
+    @staticmethod
+    def joined(parts: Sequence[Scores]) -> Scores:
+        """Return the scores of a population that was scored in parts."""
+        by_channel, cause = zip(*((part.by_channel, part.cause) for part in parts), strict=True)
+        return Scores(np.concatenate(by_channel), np.concatenate(cause))
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction(Scores):

@@ -210,11 +210,8 @@ class GearProblem(Problem):
 
     def score(self, rows: FloatArray) -> Scores:
         """Simulate and score rows of the parameter table (P, n_table) [SI]."""
-        scored = [self.judge_samples(*self.simulate(rows[part])) for part in self.parts(len(rows))]
-        return Scores(
-            np.concatenate([part.by_channel for part in scored]),
-            np.concatenate([part.cause for part in scored]),
-        )
+        parts = (self.simulate(rows[part]) for part in self.parts(len(rows)))
+        return Scores.joined([self.judge_samples(*simulated) for simulated in parts])
 
     def judge_samples(self, samples: FloatArray, result: PopulationSamples) -> Scores:
         """Score what `simulate` returned, with all penalties."""

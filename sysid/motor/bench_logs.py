@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.campaign.file import resolve_log
-from sysid.campaign.logs import BenchLogOptions, load_stated, warn_of_idle_options
+from sysid.campaign.logs import load_stated, warn_of_idle_options
 from sysid.campaign.motor import StaticLog
 from sysid.errors import LogError
 from sysid.journal import Finding, note, notice
@@ -37,11 +37,11 @@ SecondFile = dict[str, object] | None
 
 _NEEDED = ("command", "speed", "torque", "thrust", "voltage", "current")
 _CLOCK_OF = ("torque", "thrust", "speed")
-# A log is fast, and filtered, when it has this many samples per period of the stop-band edge.
+# Least samples per period of the stop-band edge of a fast log, which is filtered.
 _FAST = 10.0
 # Standard errors by which a friction must differ from none before a torque constant makes room for it.
 _SHOWN = 3.0
-# Signs that a campaign may state of a channel; "auto" leaves it to the log.
+# Signs that a campaign may state of a channel; with "auto" the log decides.
 STATED_SIGNS = {"+": 1, "-": -1}
 
 
@@ -56,7 +56,17 @@ def read_log(
     log, options = resolve_log(path, entry.log), entry.log_options
     name = options.format or campaign.log.format or "auto"
     name = detect(log) if name == "auto" else name
-    recording = load_stated(log, name, _campaign_wide(campaign, name, options), options.loader_options())
+    # What `[log]` says, with its short forms of units in the words of the format.
+    whole = campaign.log
+    short = {"torque": whole.torque_unit}
+    if name == "ati-text":  # six channels by place, which share two units
+        short["force"] = whole.force_unit
+    else:
+        short |= {"command": whole.command_unit, "thrust": whole.force_unit, "speed": whole.speed_unit}
+    units = {**(whole.units or {}), **{key: unit for key, unit in short.items() if unit is not None}}
+    # A calibration states its units.
+    stated = whole.loader_options() | {"units": None if options.calibration is not None else units or None}
+    recording = load_stated(log, name, stated, options.loader_options())
     for finding in recording.provenance.notes:
         if finding.severity == "warning":
             notice(finding.code, finding.sentence, trial=entry.log)
@@ -74,12 +84,6 @@ def read_log(
     return trial_log.on_one_clock(recording, _NEEDED, _CLOCK_OF), second
 
 
-def log_hashes(provenance: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a log as its provenance states it, and of its second file where it has one."""
-    second = provenance.get("second_log", {})
-    return " ".join(str(source["sha256"]) for source in (provenance, second) if source)
-
-
 def check_options(campaign: MotorCampaign, path: str | Path) -> None:
     """Warn of what `[log]` says and no log of the campaign takes."""
     curves = campaign.curves
@@ -88,41 +92,24 @@ def check_options(campaign: MotorCampaign, path: str | Path) -> None:
     warn_of_idle_options("log", campaign.log.loader_options(), logs)
 
 
-def _campaign_wide(campaign: MotorCampaign, name: str, options: BenchLogOptions) -> dict[str, object]:
-    """Return what `[log]` says, with its short forms of units in the words of the format."""
-    log = campaign.log
-    short = {"torque": log.torque_unit}
-    if name == "ati-text":  # six channels by place, which share two units
-        short["force"] = log.force_unit
-    else:
-        short |= {"command": log.command_unit, "thrust": log.force_unit, "speed": log.speed_unit}
-    units = {**(log.units or {}), **{key: unit for key, unit in short.items() if unit is not None}}
-    # A calibration states its units.
-    return log.loader_options() | {"units": None if options.calibration is not None else units or None}
-
-
 @dataclass(eq=False)
 class BenchLog:
-    """One log with signs, tare and doubtful intervals settled.
-
-    Channels are (times, values) by name, real samples only: signed ``speed`` [rad/s], ``torque`` [N·m],
-    ``thrust`` [N], ``voltage`` [V]; ``current`` of the motor [A] where the campaign says that it is logged.
-    The rows are at `time` (n,) [s]; `window` is the part of the log that the trial may use, `doubtful` are
-    the intervals inside it whose command the logger lost [s]. `fast` logs are filtered; `signs` are the
-    factors of the recorded torque and thrust.
-    """
+    """One log with signs, tare and doubtful intervals settled."""
 
     name: str
     recording: Recording
     second: SecondFile
     steps: trial_log.CommandSteps
-    time: FloatArray
+    time: FloatArray  # (n,) of the rows [s]
+    # Real samples by name: signed ``speed`` [rad/s], ``torque`` [N·m], ``thrust`` [N], ``voltage`` [V], and
+    # ``current`` of the motor [A] where the campaign says that it is logged.
     channels: dict[str, Samples]
-    window: tuple[float, float]
-    doubtful: tuple[tuple[float, float], ...]
-    fast: bool
+    window: tuple[float, float]  # the part of the log that the trial may use [s]
+    doubtful: tuple[tuple[float, float], ...]  # intervals inside it whose command the logger lost [s]
+    fast: bool  # whether the log is filtered
     notes: list[Finding]
     tares: dict[str, trial_log.Tare] = field(default_factory=dict)
+    # Factors of the recorded torque and thrust.
     signs: dict[str, int] = field(default_factory=lambda: {"torque": 1, "thrust": 1})
 
     @property
@@ -167,9 +154,16 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     window = _window(entry, time, where)
     speed = _signed_speed(entry, recording, u, window, where)
     stalls = [s for s in trial_log.find_stalls(time, steps) if s.end >= window[0] and s.start <= window[1]]
+    rate, settings = 1.0 / float(np.median(np.diff(time))), campaign.filter
+    fast = settings.kind != "none" and rate >= _FAST * settings.stop_edge
+    if settings.kind == "chebyshev2" and not fast:
+        raise LogError(
+            f"{where}: {rate:.0f} Hz is too slow for a filter whose stop band begins at "
+            f'{settings.stop_edge:g} Hz; set filter.kind = "auto" to leave slow logs unfiltered'
+        )
     log = BenchLog(
         entry.name, recording, second, steps, time, {"speed": speed}, window,
-        tuple(s.doubtful for s in stalls if s.doubtful is not None), _is_fast(campaign, time, where),
+        tuple(s.doubtful for s in stalls if s.doubtful is not None), fast,
         list(recording.provenance.notes),
     )  # fmt: skip
     _warn_of_standing(log, u)
@@ -216,18 +210,6 @@ def _signed_speed(
         speed = trial_log.signed_speed(speed, entry.direction, where)
     known = np.isfinite(speed)
     return raw.time[known], speed[known]
-
-
-def _is_fast(campaign: MotorCampaign, time: FloatArray, where: str) -> bool:
-    """Return whether the log is filtered."""
-    rate, settings = 1.0 / float(np.median(np.diff(time))), campaign.filter
-    fast = settings.kind != "none" and rate >= _FAST * settings.stop_edge
-    if settings.kind == "chebyshev2" and not fast:
-        raise LogError(
-            f"{where}: {rate:.0f} Hz is too slow for a filter whose stop band begins at "
-            f'{settings.stop_edge:g} Hz; set filter.kind = "auto" to leave slow logs unfiltered'
-        )
-    return fast
 
 
 def _warn_of_standing(log: BenchLog, u: FloatArray) -> None:
@@ -299,37 +281,34 @@ def _settle_signs(campaign: MotorCampaign, log: BenchLog) -> None:
     """
     points = log_points(log)
     for name, stated in (("torque", campaign.log.torque_sign), ("thrust", campaign.log.thrust_sign)):
-        if name in log.channels:
-            log.signs[name] = _sign(name, stated, log, points)
-            t, values = log.channels[name]
-            log.channels[name] = (t, log.signs[name] * values)
-
-
-def _sign(name: str, stated: str, log: BenchLog, points: SteadyPoints) -> int:
-    """Return what a channel is multiplied by; note how it was found."""
-    steady = getattr(points, name)
-    seen = sign_against_speed(steady, points.speed)
-    sign = STATED_SIGNS.get(stated, seen)
-    if seen and sign != seen:
-        worst, unit = int(np.nanargmax(np.abs(steady))), "mN·m" if name == "torque" else "mN"
-        what = "a drag that drives the rotor" if name == "torque" else "a thrust against the rotation"
-        raise LogError(
-            f"{log.where}: log.{name}_sign = {stated!r} gives {1e3 * sign * steady[worst]:.3g} {unit} at a "
-            f"steady {points.speed[worst]:.0f} rad/s, {what}; set {'+' if seen > 0 else '-'!r} or 'auto'"
-        )
-    if sign == 0:
-        sign = sign_of_log(log.channels[name], log.channels["speed"])
-        log.note(
-            "sign-of-whole-log",
-            f"no steady stretch: the whole log against its speed gives the sign of {name}",
-        )
-    if sign == 0:
-        sentence = f"nothing shows the sign of {name}, so it is taken as recorded; state log.{name}_sign"
-        notice("sign-unknown", f"{sentence} = '+' or '-'", trial=log.name)
-        return 1
-    if sign < 0:
-        log.note("sign-turned", f"the recorded {name} opposes the rotation at steady speed: sign turned")
-    return sign
+        if name not in log.channels:
+            continue
+        steady = getattr(points, name)
+        seen = sign_against_speed(steady, points.speed)
+        sign = STATED_SIGNS.get(stated, seen)
+        if seen and sign != seen:
+            worst, unit = int(np.nanargmax(np.abs(steady))), "mN·m" if name == "torque" else "mN"
+            what = "a drag that drives the rotor" if name == "torque" else "a thrust against the rotation"
+            raise LogError(
+                f"{log.where}: log.{name}_sign = {stated!r} gives {1e3 * sign * steady[worst]:.3g} {unit} at "
+                f"a steady {points.speed[worst]:.0f} rad/s, {what}; set {'+' if seen > 0 else '-'!r} or "
+                "'auto'"
+            )
+        if sign == 0:
+            sign = sign_of_log(log.channels[name], log.channels["speed"])
+            log.note(
+                "sign-of-whole-log",
+                f"no steady stretch: the whole log against its speed gives the sign of {name}",
+            )
+        if sign == 0:
+            sentence = f"nothing shows the sign of {name}, so it is taken as recorded; state log.{name}_sign"
+            notice("sign-unknown", f"{sentence} = '+' or '-'", trial=log.name)
+            sign = 1
+        elif sign < 0:
+            log.note("sign-turned", f"the recorded {name} opposes the rotation at steady speed: sign turned")
+        log.signs[name] = sign
+        t, values = log.channels[name]
+        log.channels[name] = (t, sign * values)
 
 
 def log_points(log: BenchLog) -> SteadyPoints:

@@ -15,11 +15,15 @@ from sysid.motor.problem import MotorProblem
 from sysid.motor.targets import PreparedTrial
 from sysid.types import FloatArray
 
-# Length of a candidate, but for the longer one; of a step; between commands of a slow command [s].
-_LASTS, _HELD, _WRITTEN = 4.0, 0.5, 0.01
-# Pairs of commands to step between, and (mean, amplitude, frequency [Hz]) of sines [share of full].
+# Length of a candidate [s]; steps are tried for three times as long, too.
+_LASTS = 4.0
+# Time between two steps, and between two commands of a ramp or sine [s].
+_HELD, _WRITTEN = 0.5, 0.01
+# Pairs of commands to step between [share of full].
 _STEPS = ((0.3, 0.6), (0.3, 0.9), (0.6, 0.9))
+# Mean and amplitude of sines [share of full], and their frequency [Hz].
 _SINES = ((0.6, 0.2, 1.0), (0.6, 0.2, 4.0), (0.6, 0.2, 12.0))
+# Ends of a ramp [share of full].
 _RAMP = (0.2, 1.0)
 
 

@@ -32,17 +32,18 @@ from sysid.trust.profiles import ends
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray
 
-# The valley of equal Ω_min/I_sat is narrow: CMA-ES alone from a random start got stuck in it in two of five
-# runs, the default search with its finisher in none. So the default search replaces a plain CMA-ES here. Five
-# generations before a small CMA-ES found it in all of 84 runs on six benches, three in 47 of 48.
+# Population, and generations before the small CMA-ES at its end. The valley of equal Ω_min/I_sat is narrow:
+# CMA-ES alone from a random start got stuck in it in two of five runs, the default search with its finisher
+# in none, so the default search replaces a plain CMA-ES here. Five generations before a small CMA-ES found
+# the minimum in all of 84 runs on six benches, three in 47 of 48.
 _POPULATION, _GENERATIONS = 40, 5
-# Trials do not feel the dead band when it moves the cost of this many random candidates by less than this
-# share.
+# Number of random candidates whose costs must differ by this share, or no trial feels the dead band.
 _PROBES, _FELT = 32, 1e-6
-# Grid points of a profile over its bounds, near the fitted value, and of the other number at each point. Two
-# dead bands whose NRMSE differs by less than the last share are equally good.
-_EDGES, _NEAR, _CURRENTS, _LIMIT = 25, 17, 31, 0.01
-# Steps of the simulated thrust whose reversal is timed [s].
+# Number of grid points of a profile over its bounds, near the fitted value, and of the other number at each.
+_EDGES, _NEAR, _CURRENTS = 25, 17, 31
+# Largest relative difference of NRMSE of two dead bands that are equally good [1].
+_LIMIT = 0.01
+# Step of the simulated thrust whose reversal is timed [s].
 _DELAY_GRID = 5e-4
 
 

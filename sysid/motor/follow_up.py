@@ -31,9 +31,11 @@ from sysid.motor.targets import PreparedTrial
 from sysid.parameter_sets import COMBINATIONS, INTERVALS, NOT_ALONE, ParameterRecord, parameter_records
 from sysid.types import FloatArray
 
-# The delay of a held-out log is looked for in these steps [s], this number of steps to either side.
-_DELAY_STEPS, _DELAY_REACH = (4e-3, 4e-4, 1e-4), 20
-# Ratio of the ends of a range of equally good edges of the dead band from which a fit warns of it.
+# Steps of the delays of a held-out log that are tried, one after the other [s].
+_DELAY_STEPS = (4e-3, 4e-4, 1e-4)
+# Number of those steps to either side.
+_DELAY_REACH = 20
+# Ratio of the ends of a range of equally good edges of the dead band from which a fit warns of the range.
 _WIDE = 1.5
 _WHY: dict[CutReason, str] = {
     "interrupted": "the fit was interrupted",
@@ -138,8 +140,21 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         settings = {"saturation": {"fitted": False, "why": _WHY[cut]}}
         notice("cut-short", f"{_WHY[cut]}: the dead band was not fitted; continue it with --resume")
     if not bench.scale_known:
-        settings |= _scale_free(band is not None or given)
-    _notice_unresolved_inductance(problem, rows[0])
+        banded = ["k_I_sat"] if band is not None or given else []
+        settings |= {
+            NOT_ALONE: ["winding_resistance", "winding_inductance", SATURATION[0], *CONSTANTS],
+            COMBINATIONS: ["k2_over_R", "R_over_L", *banded, "electromechanical_time_constant"],
+        }
+    best = unpack(rows[0], space.table)
+    rise = best["winding_inductance"] / best["winding_resistance"]
+    # A rise within one step of the finest grid that any fitted log is compared on leaves no sample inside it.
+    finest = min(float(np.median(np.diff(trial.target.time))) for trial in bench.fitted)
+    if rise <= finest:
+        notice(
+            "inductance-unresolved",
+            f"L/R of the best set is {1e3 * rise:.3g} ms and the finest fitted log is compared every "
+            f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small",
+        )
 
     unknown = untested_rows(campaign, bench)
     exported = rows.copy()
@@ -148,6 +163,20 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     at_bound = np.pad(sets.at_bound, ((0, 0), (0, derived.shape[1])))
     if band is not None:
         at_bound[:, searched] = band.at_bound
+    u_of = campaign_range(campaign)
+    # Further facts that a simulator must know.
+    circumstances: dict[str, object] = {
+        "command": {
+            **{name: getattr(u_of, name) for name in ("unit", "minimum", "neutral", "maximum")},
+            "bidirectional": u_of.forward_half is not None or u_of.neutral > u_of.minimum,
+            "forward_half": u_of.forward_half,
+        },
+        "voltage": "V_c = k_v Ω_0(u) V/V_ref; Ω_0(u) = a u + b sign(u) per direction",
+        "curves": "c2 Ω|Ω| + c1 Ω, one pair of coefficients per direction",
+        "stator_torque": "k_m I_eff - k_d Ω, positive when it drives the rotor forward",
+        "static_curves": [fit.document() for fit in bench.curves.fits],
+        "tolerance": FIT_TOLERANCE,
+    }
     return FitOutcome(
         sets=sets,
         rows=rows,
@@ -155,7 +184,7 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         values=np.hstack([exported, derived]),
         at_bound=at_bound,
         nrmse=nrmse,
-        settings={**_circumstances(problem), **settings},
+        settings={**circumstances, **settings},
         cut=cut,
     )
 
@@ -293,27 +322,6 @@ def log_delays(problem: MotorProblem, row: FloatArray) -> list[LogDelay]:
     return out
 
 
-def _scale_free(banded: bool) -> dict[str, object]:
-    """Return which numbers of a motor of unknown scale stay open, and which combinations are determined."""
-    alone = ["winding_resistance", "winding_inductance", *SATURATION[:1], *CONSTANTS]
-    together = ["k2_over_R", "R_over_L", "electromechanical_time_constant"]
-    return {NOT_ALONE: alone, COMBINATIONS: together[:2] + ["k_I_sat"] * banded + together[2:]}
-
-
-def _notice_unresolved_inductance(problem: MotorProblem, row: FloatArray) -> None:
-    """Notice where L/R of the best set is shorter than the logs can show."""
-    values = unpack(row, problem.space.table)
-    rise = values["winding_inductance"] / values["winding_resistance"]
-    # A rise within one step of the finest grid that any fitted log is compared on leaves no sample inside it.
-    finest = min(float(np.median(np.diff(trial.target.time))) for trial in problem.bench.fitted)
-    if rise <= finest:
-        notice(
-            "inductance-unresolved",
-            f"L/R of the best set is {1e3 * rise:.3g} ms and the finest fitted log is compared every "
-            f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small",
-        )
-
-
 def _records(
     problem: MotorProblem, unknown: tuple[str, ...], band: SaturationFit | None
 ) -> tuple[ParameterRecord, ...]:
@@ -344,20 +352,3 @@ def _records(
             record = replace(free, source=stage)
         out.append(record)
     return tuple(out)
-
-
-def _circumstances(problem: MotorProblem) -> dict[str, object]:
-    """Return what else a simulator must know."""
-    u_of = campaign_range(problem.campaign)
-    return {
-        "command": {
-            **{name: getattr(u_of, name) for name in ("unit", "minimum", "neutral", "maximum")},
-            "bidirectional": u_of.forward_half is not None or u_of.neutral > u_of.minimum,
-            "forward_half": u_of.forward_half,
-        },
-        "voltage": "V_c = k_v Ω_0(u) V/V_ref; Ω_0(u) = a u + b sign(u) per direction",
-        "curves": "c2 Ω|Ω| + c1 Ω, one pair of coefficients per direction",
-        "stator_torque": "k_m I_eff - k_d Ω, positive when it drives the rotor forward",
-        "static_curves": [fit.document() for fit in problem.bench.curves.fits],
-        "tolerance": FIT_TOLERANCE,
-    }

@@ -21,15 +21,17 @@ from sysid.motor.targets import filtered
 from sysid.trials.bench_log import outside
 from sysid.types import BoolArray, FloatArray
 
-# A spike and its decay [s]; smaller steps of u than this show none.
-_SPIKE, _LEAST_STEP = 0.4, 0.02
-# Grid on which the speed of a slow log is differentiated [s].
+# Length of a spike with its decay [s].
+_SPIKE = 0.4
+# Least step of the command u that shows a spike [1].
+_LEAST_STEP = 0.02
+# Step of the grid on which the speed of a slow log is differentiated [s].
 _GRID = 1e-3
-# A sensor's lag has forgotten what lies this many time constants back.
+# Time after which a sensor's lag has forgotten its input [time constants].
 _MEMORY = 3.0
-# Up- and down-steps that differ by more do not show one inertia.
-AGREEMENT = 0.15
-# Steps of each kind below which they show nothing.
+# Largest relative difference of up- and down-steps that show one inertia [1].
+_AGREEMENT = 0.15
+# Least number of steps of each kind that show something.
 _FEWEST = 2
 _Seen = tuple[FloatArray, FloatArray, FloatArray, BoolArray]
 
@@ -62,7 +64,7 @@ class SpikeInertia:
                 f"torque spikes of {rises} up-steps and {falls} down-steps are too few to check the rotor "
                 f"inertia: record {_FEWEST} of each, whole for {_SPIKE:g} s"
             )
-        elif abs(up - down) <= AGREEMENT * 0.5 * (up + down):
+        elif abs(up - down) <= _AGREEMENT * 0.5 * (up + down):
             return None
         else:
             sentence = (

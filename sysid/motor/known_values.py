@@ -19,35 +19,32 @@ from sysid.motor.static_curves import no_load_line
 from sysid.motor.targets import PreparedTrial, prepare_run
 from sysid.parameters import SearchSpace
 
-# Full duty of an unloaded motor turns at V_ref/k_v; steady loaded speed extrapolated to u = 1 falls short of
-# that by about this factor. Only a start for motors of unknown Kv: no result depends on it but the scale.
+# Loaded speed at full command over the unloaded one, V_ref/k_v [1], about: a guess for motors of unknown Kv,
+# on which only the scale of a result depends.
 _LOADED_SHARE = 0.8
-# Kv V_ref over the speed at full command: without propeller 1 to a few percent, with one 1.1 to 2.
+# Limits of Kv V_ref over the speed at full command [1], which is 1 to a few percent without propeller and 1.1
+# to 2 with one.
 _KV_NO_LOAD, _KV_LOADED = (0.7, 1.5), (0.8, 2.8)
-# Fitted to reversals after everything else, never with it.
+# Parameters of the dead band, fitted to reversals after everything else, never with it.
 SATURATION = ("saturation_current", "saturation_speed")
-# Equal in SI; without one of them torque and speed determine R, L and I_sat only up to a common scale.
+# Constants of the motor, equal in SI; without one of them torque and speed determine R, L and I_sat only up
+# to a common scale.
 CONSTANTS = ("back_emf_constant", "torque_constant")
-# A rating is good to some percent.
+# Largest relative error of a rating that agrees with the logged current [1].
 _SCALE_AGREES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A motor campaign after its logs were read.
-
-    `values` are the parameters that the campaign or its static logs state, by name [SI]; `measured` has the
-    sources of measured values, `stated` the sources of the others (a rating, a guess); `guessed` are guesses.
-    `scale_known`: a Kv, a logged motor current or the campaign determines the scale of R, L, I_sat.
-    """
+    """A motor campaign after its logs were read."""
 
     trials: tuple[PreparedTrial, ...]
     curves: StaticCurves
-    values: dict[str, float]
-    measured: Mapping[str, str]
-    stated: Mapping[str, str]
-    scale_known: bool
-    guessed: frozenset[str]
+    values: dict[str, float]  # parameters that the campaign or its static logs state, by name [SI]
+    measured: Mapping[str, str]  # sources of the measured ones
+    stated: Mapping[str, str]  # sources of the others: a rating, a guess
+    scale_known: bool  # whether a Kv, a motor current or the campaign determines the scale of R, L, I_sat
+    guessed: frozenset[str]  # names of guesses
 
     @property
     def fitted(self) -> tuple[PreparedTrial, ...]:

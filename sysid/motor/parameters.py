@@ -33,7 +33,7 @@ _K = kv_to_si(960.0)
 _BY_SEARCH = "Table I (genetic algorithm); bounds: guess"
 _NO_LOAD = "guess: hover at 512 rad/s loaded needs 642 rad/s without load"
 _PROPELLER = "guess for a 9 × 4.5 inch propeller; replaced by the static curves of the campaign"
-_WAYS = (("forward", "+"), ("reverse", "−"))
+WAYS = (("forward", "+"), ("reverse", "−"))
 
 
 def _curve_rows(
@@ -41,7 +41,7 @@ def _curve_rows(
 ) -> list[Parameter]:
     """Return c2 and c1 of a static curve, forward and reverse; bounds of c2, and c1 up to 100 times them."""
     group, rows = f"{quantity} curve", []
-    for (way, sign), value in zip(_WAYS, (forward, reverse), strict=True):
+    for (way, sign), value in zip(WAYS, (forward, reverse), strict=True):
         meaning = f"coefficient of the {group}, {way} rotation."
         rows += [
             Parameter(f"{quantity}_quadratic_{way}", f"c2_{symbol}{sign}", f"{unit}·s²/rad²", value, low,
@@ -98,7 +98,7 @@ PARAMETERS = ParameterTable(
                   "Supply at which Ω_0(u) applies.", "guess: three lithium-polymer cells", "motor"),
         *(
             row
-            for way, sign in _WAYS
+            for way, sign in WAYS
             for row in (
                 Parameter(f"no_load_slope_{way}", f"a{sign}", "rad/s", 1030.0, 100.0, 5000.0, "log",
                           f"Slope of the no-load speed over the command u, {way}.", _NO_LOAD, "no-load line"),

@@ -7,7 +7,7 @@ after it with all other values fixed, takes no part in trust.
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,16 +30,17 @@ from sysid.motor.targets import PreparedTrial, measured_spectrum
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray, IntArray, Rotation
 
-# Local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
+# Relative local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
 FIT_TOLERANCE = 1e-5
-# Simulated samples of a search that are in memory at once, per thread [bytes]: the allocator keeps blocks of
-# this size; for larger ones it asks the system for fresh pages every time, which costs more than simulating.
+# Simulated samples in memory at once, per thread [bytes]: the allocator keeps blocks of this size; for larger
+# ones it asks the system for fresh pages every time, which costs more than simulating.
 _MEMORY = 4e6
-# Time for which a step is followed, several times a motor's time constant [s].
+# Time after a command that counts as its transient, several times a motor's time constant [s].
 _FOLLOWS = 0.3
-# Parts of all trials together that a ladder leaves out, about.
+# Number of parts of all trials together that a ladder leaves out in turn, about.
 _PIECES = 12
 _INDEX = PARAMETERS.index
+_INSTRUMENTS = PARAMETERS.group("instrument")
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,16 +165,19 @@ class MotorProblem(Problem):
 
     def score(self, rows: FloatArray) -> Scores:
         """Simulate and score rows (P, n_table) [SI]; rows of the model's table alone have one delay."""
-        rows = self.complete(rows)
-        threads = self.threads or os.cpu_count() or 1
-        share = max(1, threads, int(threads * _MEMORY / (16 * self.jobs.time.size)))
-        parts = [rows[first : first + share] for first in range(0, len(rows), share)]
-        scored = []
-        for part in parts:
+        rows, scored = self.complete(rows), []
+        for chosen in self.parts(len(rows)):
+            part = rows[chosen]
             samples, reached, status = self.simulate(part)
             by_channel, failed = self.cost(samples, reached, self.sensors(part), self.threads)
-            scored.append((by_channel, _causes(failed, status)))
-        return Scores(*(np.concatenate(values) for values in zip(*scored, strict=True)))
+            scored.append(Scores(by_channel, _causes(failed, status)))
+        return Scores.joined(scored)
+
+    def parts(self, count: int) -> list[slice]:
+        """Return the parts in which candidates are simulated, one candidate per thread or more."""
+        threads = self.threads or os.cpu_count() or 1
+        share = max(1, threads, int(threads * _MEMORY / (16 * self.jobs.time.size)))
+        return [slice(first, min(first + share, count)) for first in range(0, count, share)]
 
     def nrmse(self, rows: FloatArray) -> FloatArray:
         """Return the mean NRMSE (P,) of rows (P, n_table) [SI]."""
@@ -213,10 +217,24 @@ class MotorProblem(Problem):
 
     @cached_property
     def noise(self) -> FloatArray:
-        """(T, 2) standard deviation of the sensors' noise as compared [channel units]; NaN: none shows."""
+        """(T, 2) standard deviation of the sensors' noise as compared [channel units]; NaN: none shows.
+
+        From the median third difference, in which a signal that is smooth most of the time leaves little.
+        White noise that has passed the filter of a fast log leaves less there, too, by what the filter's taps
+        say.
+        """
         if self.stated_noise is not None:
             return self.stated_noise
-        return np.array([[sensor_noise(target, c) for c in range(len(CHANNELS))] for target in self.targets])
+        out = np.full((len(self.targets), len(CHANNELS)), np.nan)
+        for t, target in enumerate(self.targets):
+            share = filtered_correlation(target, 3)
+            gain = 20.0 * share[0] - 30.0 * share[1] + 12.0 * share[2] - 2.0 * share[3]
+            for c in range(len(CHANNELS)):
+                known = target.measured[target.valid[:, c], c]
+                if len(known) >= 20:
+                    sigma = float(np.median(np.abs(np.diff(known, 3)))) / 0.6745 / np.sqrt(gain)
+                    out[t, c] = sigma if sigma > 0 else np.nan
+        return out
 
     def correlation(self) -> NoiseModel:
         """Return the correlations of sensor noise as compared: what the filter of fast logs leaves."""
@@ -233,7 +251,14 @@ class MotorProblem(Problem):
 
         The tare of every trial's torque, static curves, values that the campaign states within a range.
         """
-        moved = self._tares()
+        moved = np.zeros((0, self.blocks[-1].stop))
+        for block in self.blocks:
+            tare = self.prepared[block.trial].log.tares.get("torque")
+            if block.channel == 0 and tare is not None and np.isfinite(tare.error):
+                change = np.zeros((1, self.blocks[-1].stop))
+                valid = self.targets[block.trial].valid[:, 0]
+                change[0, block.start : block.stop] = valid * tare.error / block.spread
+                moved = np.concatenate([moved, change])
         if len(self._changes):
             values, _ = self.compared(np.concatenate([row + self._changes, row - self._changes]))
             up, down = np.split(values, 2)
@@ -254,48 +279,32 @@ class MotorProblem(Problem):
     def _changes(self) -> FloatArray:
         """(K, n_table) one standard deviation of each static curve and each stated range [SI]."""
         index, fixed, searched = self.space.table.index, self.campaign.parameters.fixed, self.space.names
-        changes = []
+        changes: list[FloatArray] = []
+
+        def change(names: Sequence[str], size: ArrayLike) -> None:
+            row = np.zeros(len(index))
+            row[[index[name] for name in names]] = size
+            changes.append(row)
+
         for fit in self.bench.curves.fits:
-            columns = [index[name] for name in fit.parameters if name in index]
+            names = [name for name in fit.parameters if name in index]
             # Curves that the campaign states are no fit to points.
-            if fit.quantity == "thrust" or len(columns) != 2 or {*fit.parameters} & {*fixed, *searched}:
+            if fit.quantity == "thrust" or len(names) != 2 or {*fit.parameters} & {*fixed, *searched}:
                 continue
             first, second = fit.standard_errors
             rho = fit.correlation
             for root in ((first, rho * second), (0.0, np.sqrt(1 - rho**2) * second)):
                 if np.isfinite(root).all():
-                    changes.append(self._change(columns, root))
-        # A range is a uniform density.
-        for names, width in self._stated_ranges():
-            changes.append(self._change([index[name] for name in names], width / np.sqrt(12.0)))
-        return np.array(changes).reshape(len(changes), len(index))
-
-    def _change(self, columns: list[int], size: ArrayLike) -> FloatArray:
-        change = np.zeros(len(self.space.table))
-        change[columns] = size
-        return change
-
-    def _stated_ranges(self) -> list[tuple[tuple[str, ...], float]]:
-        """Return names that move together and the width of their range [SI], of what is not free."""
-        out: list[tuple[tuple[str, ...], float]] = []
-        ranges = {name: pair for name, pair in self.ranges.items() if name not in self.space.names}
+                    change(names, root)
+        # A range is a uniform density; both constants move together.
+        ranges = {name: high - low for name, (low, high) in self.ranges.items() if name not in searched}
         constants = [ranges.pop(name) for name in CONSTANTS if name in ranges]
-        if constants and not {*CONSTANTS} & {*self.space.names}:
-            out.append((CONSTANTS, max(high - low for low, high in constants)))
-        out += [((name,), high - low) for name, (low, high) in ranges.items() if name in self.space.table]
-        return [(names, width) for names, width in out if width > 0]
-
-    def _tares(self) -> FloatArray:
-        """Return how one standard error of each trial's tare of torque moves the residuals (K, m)."""
-        changes = []
-        for block in self.blocks:
-            tare = self.prepared[block.trial].log.tares.get("torque")
-            if block.channel == 0 and tare is not None and np.isfinite(tare.error):
-                change = np.zeros(self.blocks[-1].stop)
-                valid = self.targets[block.trial].valid[:, 0]
-                change[block.start : block.stop] = valid * tare.error / block.spread
-                changes.append(change)
-        return np.array(changes).reshape(len(changes), self.blocks[-1].stop)
+        if constants and not {*CONSTANTS} & {*searched} and max(constants) > 0:
+            change(CONSTANTS, max(constants) / np.sqrt(12.0))
+        for name, width in ranges.items():
+            if name in index and width > 0:
+                change([name], width / np.sqrt(12.0))
+        return np.array(changes).reshape(len(changes), len(index))
 
     def floors(self, row: FloatArray) -> FloatArray:
         """Return the NRMSE (B,) that noise and errors of known values cost every block [1].
@@ -354,27 +363,9 @@ class MotorProblem(Problem):
         return self.complete(rows)
 
 
-_INSTRUMENTS = PARAMETERS.group("instrument")
-
-
 def _causes(failed: BoolArray, status: IntArray) -> NDArray[np.int8]:
     """Return why trials (P, T) failed; one that ran to its end failed for an NRMSE that is not finite."""
     return np.where(failed, np.where(status > 0, status, kernel.NOT_FINITE), 0).astype(np.int8)
-
-
-def sensor_noise(target: MotorTarget, channel: int) -> float:
-    """Return the standard deviation of a channel's noise as compared [its unit]; NaN where it shows none.
-
-    From the median third difference, in which a signal that is smooth most of the time leaves little. White
-    noise that has passed the filter of a fast log leaves less there, too, by what the filter's taps say.
-    """
-    known = target.measured[target.valid[:, channel], channel]
-    if len(known) < 20:
-        return float("nan")
-    share = filtered_correlation(target, 3)
-    gain = 20.0 * share[0] - 30.0 * share[1] + 12.0 * share[2] - 2.0 * share[3]
-    sigma = float(np.median(np.abs(np.diff(known, 3)))) / 0.6745 / np.sqrt(gain)
-    return sigma if sigma > 0 else float("nan")
 
 
 def filtered_correlation(target: MotorTarget, lags: int) -> FloatArray:

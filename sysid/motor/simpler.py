@@ -22,7 +22,7 @@ from sysid.motor.curves import supply_ratio
 from sysid.motor.known_values import Bench
 from sysid.motor.lag_kernel import READS, lag_population
 from sysid.motor.log_delays import log_rows, shifts
-from sysid.motor.parameters import SENSORS, instrument_rows
+from sysid.motor.parameters import SENSORS, WAYS, instrument_rows
 from sysid.motor.problem import MotorProblem
 from sysid.motor.static_curves import turns
 from sysid.parallel import in_threads
@@ -31,7 +31,6 @@ from sysid.types import FloatArray, IntArray
 
 # Inductance of the model without L [H]: its current rises within a thousandth of any step that a log shows.
 _NO_INDUCTANCE = 1e-8
-_WAYS = (("forward", "+"), ("reverse", "−"))
 PARAMETERS = ParameterTable(
     [
         *(
@@ -44,13 +43,13 @@ PARAMETERS = ParameterTable(
             Parameter(f"steady_speed_{power}_{way}", f"p{power}{sign}", "rad/s", 0.0, -1e4, 1e4, "linear",
                       f"Coefficient of |u|^{power} of the steady speed, {way}.",
                       "fitted to the steady loaded points", "steady-speed map")
-            for way, sign in _WAYS
+            for way, sign in WAYS
             for power in range(3)
         ),
         *(
             Parameter(f"torque_{name}_{way}", f"c_τ{sign}", unit, 0.0, -1.0, 1.0, "linear",
                       "Coefficient of the torque curve.", "static curves of the campaign", "torque curve")
-            for way, sign in _WAYS
+            for way, sign in WAYS
             for name, unit in (("quadratic", "N·m·s²/rad²"), ("linear", "N·m·s/rad"))
         ),
     ]

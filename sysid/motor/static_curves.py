@@ -18,9 +18,9 @@ from scipy.optimize import least_squares
 from sysid.errors import FitError
 from sysid.types import BoolArray, FloatArray, Rotation
 
-# MAD of a normal distribution in units of its standard deviation.
+# Median absolute deviation of a normal distribution in units of its standard deviation.
 _MAD = 0.6745
-# A point further than this many robust standard deviations is counted as an outlier.
+# Distance from the curve beyond which a point is an outlier [robust standard deviations].
 _OUTLIER = 5.0
 
 
@@ -111,7 +111,11 @@ class NoLoadTie:
         """(n,) soft-L1 weights of the points [1]."""
         # The drag bends Ω(u) about like u|u|. A misread speed has a misread drag, which may not judge it.
         u, sign = self.columns.T
-        return _soft_weights(np.column_stack([u, sign, u * u / sign]), self.points[:, 0])
+        columns, speed = np.column_stack([u, sign, u * u / sign]), self.points[:, 0]
+        scaled = columns / np.max(np.abs(columns), axis=0)
+        solution, sigma = _robust_solution(scaled, speed)
+        # Weighted least squares with these weights is the robust fit.
+        return np.asarray(1.0 / np.sqrt(1.0 + ((speed - scaled @ solution) / sigma) ** 2), dtype=np.float64)
 
     @cached_property
     def lines(self) -> FloatArray:
@@ -206,16 +210,6 @@ def fit_no_load_line(
     return _robust_line("no_load", direction, columns, omega, ("rad/s", "rad/s"))
 
 
-def _soft_weights(columns: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the soft-L1 weights (n,) that a robust fit of y (n,) over columns (n, k) gives the points.
-
-    Weighted least squares with them is that fit: a point far from the others counts with σ/|residual|.
-    """
-    scaled = columns / np.max(np.abs(columns), axis=0)
-    solution, sigma = _robust_solution(scaled, y)
-    return np.asarray(1.0 / np.sqrt(1.0 + ((y - scaled @ solution) / sigma) ** 2), dtype=np.float64)
-
-
 def turns(values: FloatArray, direction: Rotation) -> BoolArray:
     """Return True (n,) where a speed or command (n,) [any unit] has the direction."""
     return values > 0 if direction == "forward" else values < 0
@@ -274,18 +268,18 @@ def _robust_solution(columns: FloatArray, y: FloatArray) -> tuple[FloatArray, fl
     for _ in range(10):
         residual = y - columns @ start
         sigma = max(float(np.median(np.abs(residual))) / _MAD, floor)
-        solution = _soft_line(columns / sigma, y / sigma, start)
+        scaled, target = columns / sigma, y / sigma
+        fit = least_squares(
+            lambda x, a, b: a @ x - b,  # type: ignore[misc]
+            start,
+            jac=lambda x, a, b: a,  # type: ignore[misc]
+            args=(scaled, target),
+            loss="soft_l1",
+        )
+        solution = np.asarray(fit.x, dtype=np.float64)
         done = np.max(np.abs(solution - start)) <= 1e-10 * np.max(np.abs(solution))
         start = solution
         if done:
             break
     residual = y - columns @ start
     return start, max(float(np.median(np.abs(residual))) / _MAD, floor)
-
-
-def _soft_line(columns: FloatArray, y: FloatArray, start: FloatArray) -> FloatArray:
-    def residual(coefficients: FloatArray) -> FloatArray:
-        return columns @ coefficients - y
-
-    fit = least_squares(residual, start, jac=lambda _: columns, loss="soft_l1")  # type: ignore[misc]
-    return np.asarray(fit.x, dtype=np.float64)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from sysid.fit.story import Story
-from sysid.motor.bench_logs import log_hashes
 from sysid.motor.cost import CHANNELS
 from sysid.motor.curves import supply_ratio
 from sysid.motor.inertia import spikes
@@ -43,7 +42,10 @@ class MotorStory(Story[MotorProblem]):
     @property
     def hashes(self) -> Mapping[str, str]:
         """SHA-256 of every log, of the static logs as well."""
-        return {name: log_hashes(provenance) for name, provenance in self.logs.items()}
+        files = {
+            name: [provenance, provenance.get("second_log", {})] for name, provenance in self.logs.items()
+        }
+        return {name: " ".join(file["sha256"] for file in both if file) for name, both in files.items()}
 
     @property
     def logs(self) -> Mapping[str, Any]:

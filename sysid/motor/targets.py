@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,41 +15,37 @@ from sysid.motor.batch import SimulatedTrial
 from sysid.motor.bench_logs import BenchLog, Samples
 from sysid.motor.cost import MotorTarget
 from sysid.motor.parameters import PARAMETERS
-from sysid.trials.bench_log import Tare, outside
+from sysid.trials.bench_log import outside
 from sysid.trials.steady import SETTLE, find_starts
-from sysid.types import BoolArray, FloatArray, IntArray
+from sysid.types import BoolArray, FloatArray
 
-# Grids of the simulation and of the comparison, per period of the stop-band edge of a fast log.
+# Samples of the simulation and of the comparison per period of the stop-band edge of a fast log.
 _SIMULATED, _COMPARED = 10.0, 2.5
-# Grid of the simulation of a slow log: shares of its row interval, within these limits [s].
+# Step of the simulation of a slow log over its row interval [1], and the limits of that step [s].
 _SLOW_SHARE, _SLOW_GRID = 0.35, (1e-3, 4e-3)
-# The supply voltage is averaged over this time [s]: its noise is no physics.
+# Time over which the supply voltage is averaged [s]: its noise is no physics.
 _SUPPLY_MEAN = 0.04
-# Every knot of the supply ends a simulated step: knots within this share of V_ref of a line are left out.
+# Largest error of the supply's polyline [share of V_ref]: every knot of it ends a simulated step.
 _SUPPLY_LINE = 2e-3
-# Filter taps below this share of the centre are cut.
+# Least filter tap that is kept [share of the centre].
 _TAP_LEAST = 1e-4
-# A trial of which less than this share is no start from rest is searched whole.
+# Least share of a trial besides its starts from rest; of less, the whole trial is searched.
 _LEAST_LEFT = 0.25
-# Samples of the speed that a start from rest needs to show a dead band.
+# Number of samples of the speed that a start from rest needs to show a dead band.
 _LEAST_SHOWN = 10
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedTrial:
-    """One trial of the campaign: what is simulated, what is compared, where it comes from.
-
-    `starts` are the spin-ups from rest inside the window [s], as far as the filter carries them. `thrust`
-    (n,) was measured, and is filtered like the rest [N]; None where none was recorded. `provenance` is what
-    a result states of the log.
-    """
+    """One trial of the campaign: its log, what is simulated, what is compared, what a result states of it."""
 
     entry: MotorTrial
     log: BenchLog
     simulated: SimulatedTrial
     target: MotorTarget
+    # Spin-ups from rest inside the window [s], as far as the filter carries them.
     starts: tuple[tuple[float, float], ...]
-    thrust: FloatArray | None
+    thrust: FloatArray | None  # (n,) measured and filtered like the rest [N]; None: not recorded
     provenance: dict[str, Any]
 
     @property
@@ -65,17 +61,15 @@ class PreparedTrial:
     @property
     def only_starts(self) -> bool:
         """Whether too little of the trial is left without its starts from rest."""
-        return bool(self.starts) and self._left().sum() < _LEAST_LEFT * self.target.valid.sum()
+        left = self.target.valid & ~self.started[:, None]
+        return bool(self.starts) and left.sum() < _LEAST_LEFT * self.target.valid.sum()
 
     @property
     def dynamic_target(self) -> MotorTarget:
         """The target without its starts from rest, whose dead band is not known before the dynamic fit."""
         if not self.starts or self.only_starts:
             return self.target
-        return replace(self.target, valid=self._left())
-
-    def _left(self) -> BoolArray:
-        return self.target.valid & ~self.started[:, None]
+        return replace(self.target, valid=self.target.valid & ~self.started[:, None])
 
 
 def prepare_run(
@@ -104,7 +98,10 @@ def prepare_run(
         "window": [float(w) for w in log.window],
         "commands": int(log.steps.time.size),
         **{f"{name}_sign": sign for name, sign in log.signs.items()},
-        "tare": {name: _tare(tare) for name, tare in log.tares.items()},
+        "tare": {
+            name: asdict(tare) | {"error": tare.error if np.isfinite(tare.error) else None}
+            for name, tare in log.tares.items()
+        },
         "doubtful": [list(interval) for interval in log.doubtful],
         "starts_from_rest": [list(interval) for interval in starts],
         **({} if log.second is None else {"second_log": log.second}),
@@ -113,11 +110,6 @@ def prepare_run(
     supply = _supply(log, reference_voltage)
     simulated = SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", supply)
     return PreparedTrial(entry, log, simulated, target, starts, thrust, provenance)
-
-
-def _tare(tare: Tare) -> dict[str, object]:
-    error = tare.error if np.isfinite(tare.error) else None
-    return {"value": tare.value, "error": error, "rows": tare.rows, "source": tare.source}
 
 
 def filter_design(campaign: MotorCampaign, logs: Sequence[BenchLog]) -> dict[str, object]:
@@ -266,24 +258,20 @@ def _supply(log: BenchLog, reference_voltage: float) -> tuple[FloatArray, FloatA
     _, index, count = np.unique(block, return_inverse=True, return_counts=True)
     mean_time = np.bincount(index, t) / count
     ratio = np.bincount(index, volts) / count / reference_voltage
-    kept = _knots(mean_time, ratio, _SUPPLY_LINE)
-    return mean_time[kept], ratio[kept]
-
-
-def _knots(time: FloatArray, values: FloatArray, tolerance: float) -> IntArray:
-    """Return the points (k,) of a polyline that is nowhere further than `tolerance` from the rest."""
-    kept = {0, time.size - 1}
-    open_parts = [(0, time.size - 1)]
+    # The fewest knots whose polyline is close to all others.
+    kept = {0, mean_time.size - 1}
+    open_parts = [(0, mean_time.size - 1)]
     while open_parts:
         first, last = open_parts.pop()
         if last - first < 2:
             continue
         inside = slice(first + 1, last)
-        line = np.interp(time[inside], time[[first, last]], values[[first, last]])
-        distance = np.abs(values[inside] - line)
+        line = np.interp(mean_time[inside], mean_time[[first, last]], ratio[[first, last]])
+        distance = np.abs(ratio[inside] - line)
         worst = int(np.argmax(distance))
-        if distance[worst] > tolerance:
+        if distance[worst] > _SUPPLY_LINE:
             middle = first + 1 + worst
             kept.add(middle)
             open_parts += [(first, middle), (middle, last)]
-    return np.array(sorted(kept), dtype=np.int64)
+    knots = sorted(kept)
+    return mean_time[knots], ratio[knots]

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fakes.motor_bench import score_values
+from fakes.motor_bench import problem_of, score_values
 from sysid.campaign import read_campaign
 from sysid.fit.store import read_fit
 from sysid.gear.drops import prepare_drops
 from sysid.loaders import load
-from sysid.motor.bench_logs import log_hashes
 from sysid.motor.known_values import prepare_bench
 from sysid.motor.model import PARAMETERS
+from sysid.motor.story import MotorStory
 from sysid.synthetic import synthesize_gear
 from sysid.synthetic.motor import TRIALS, TRUE_MOTOR, synthesize_motor
 from sysid.workflows.fit import fit_motor
@@ -210,7 +210,8 @@ def test_cell_and_tachometer_are_one_trial(cell_and_tachometer):
     assert second["confidence"] > 0.1
     assert second["aligned"] == "speed with thrust"
     assert record["device"] == "ATI Mini40 FT00007 X"
-    assert len(log_hashes(bench.trials[0].provenance).split()) == 2
+    hashes = MotorStory(problem_of(campaign, bench)).hashes
+    assert len(hashes[bench.trials[0].entry.name].split()) == 2
     assert any("tare" in note for note in record["notes"])
     assert any("speed from" in note for note in second["notes"])
     scored = score_values(campaign, bench, TRUTH)

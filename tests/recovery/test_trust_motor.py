@@ -220,3 +220,19 @@ def test_three_motors_lie_within_their_intervals(tmp_path: Path) -> None:
     assert all(one.beyond < 1.0 for one in known)
     assert all(one.verdict == "well" for one in known)
     assert all(one.verdict == "not_identifiable" for one in found if one.name == "viscous_damping")
+
+
+def test_an_inductance_that_the_log_cannot_show_is_not_identified(tmp_path):
+    # L/R of 0.03 ms, and a log that is compared every 4 ms.
+    plan = TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80, 0.45), 0.45, "csv")
+    bench = synthesize_motor(tmp_path / "m", seed=11, trials=(plan,), parameters={"winding_inductance": 1e-5})
+    options = FitOptions(
+        out=tmp_path / "fit", runs=1, population=24, max_generations=10, seed=4, quiet=True, check=False
+    )
+    result, _ = fit_motor(bench / "campaign.toml", options)
+    assert any("the logs only say that L is small, not how small" in warning for warning in result.warnings)
+    judged = result.parameter_sets().known["winding_inductance"].judged
+    assert judged.verdict == "not_identifiable"
+    # The interval is open toward the truth and ends below the compared step of 4 ms times R.
+    assert judged.open_95 == [True, False]
+    assert 1e-5 <= judged.interval_95[1] < 4e-3 * 0.299
