@@ -1,19 +1,21 @@
-"""Diagrams of the model: what a lab must measure (Fig. 2), how feet stick and slip (Fig. 5)."""
+"""Diagrams of the model: what a lab must measure (Fig. 2), how feet stick and slip (Fig. 5), a sketch."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Arc, FancyBboxPatch, Polygon
+from matplotlib.patches import Arc, FancyBboxPatch
 
 from sysid.gear.surfaces import high_friction
 from sysid.report.drawing import Point, arrow, directions, draw_line, panel
-from sysid.report.drop_replay import DropReplay
-from sysid.report.snapshots import BODY, FRICTION, GROUND, NORMAL
+from sysid.report.drop_replay import Drone, DropReplay, drone_of
+from sysid.report.html import Html
+from sysid.report.snapshots import BODY, FRICTION, NORMAL, draw_drone, draw_slope
 from sysid.types import FloatArray
 
 _DIMENSION, _WEIGHT, _THRUST, _AXES = "#009E73", "#7A5195", "#E69F00", "#555555"
@@ -26,87 +28,92 @@ _FEET = {
 }
 
 
+def gear_sketch(values: Mapping[str, float], slope: float) -> Html:
+    """Return the drone on its slope [rad], to scale, in the colours of a page: values [SI]."""
+    drone = _in_millimetres(values)
+    arm, foot = drone.rods[0, 1, 0], -drone.feet[1, 1]
+
+    def path(points: FloatArray, look: str = "") -> str:
+        return f'<path d="M{"L".join(f"{x:.0f} {-z:.0f}" for x, z in points)}{look}"/>'
+
+    far = 3 * arm
+    soil = np.array([[-far, -foot], [far, -foot], [far, -foot - far], [-far, -foot - far]])
+    parts = [path(soil, 'Z" fill="var(--c-soil)" stroke="var(--c-soil-edge)')]
+    for leg in np.stack([drone.joints, drone.feet], axis=1):
+        parts.append(path(leg, '" stroke="var(--c-best)'))
+        parts.append(f'<circle cx="{leg[1, 0]:.0f}" cy="{foot:.0f}" r="5" fill="currentColor"/>')
+    parts += [path(rod) for rod in drone.rods]
+    parts += [path(drone.hull, 'Z" fill="var(--c-body)'), '<circle r="4.5" fill="currentColor"/>']
+    words = f"side view of the landing gear on a slope of {math.degrees(slope):.0f} degrees: two sprung legs"
+    box = f"{-1.55 * arm:.0f} {-0.75 * arm:.0f} {3.1 * arm:.0f} {foot + 1.45 * arm:.0f}"
+    drawn = math.degrees(min(max(slope, 0.14), 0.38))
+    return Html(
+        f'<svg role="img" aria-label="{words}" viewBox="{box}">'
+        f'<g stroke-width="4" transform="rotate({drawn:.1f})">{"".join(parts)}</g></svg>'
+    )
+
+
+def _in_millimetres(values: Mapping[str, float]) -> Drone:
+    drone = drone_of(values)
+    return Drone(**{part: 1e3 * points for part, points in vars(drone).items()})
+
+
 def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     """Draw frames, lengths and forces of the planar model (Fig. 2), to scale: values [SI], slope [rad]."""
-    lengths = ("joint_dx", "joint_dz", "foot_dx", "foot_dz", "thrust_point_dx")
-    v = {name: 1e3 * values[name] for name in lengths}
+    drone = _in_millimetres(values)
     # The figure is no wider than a phone shows it, so letters keep their size.
     figure, axes = panel(4.1)
     axes.set_aspect("equal")
     axes.set_axis_off()
-    along, normal = directions(float(np.clip(slope, np.radians(8.0), np.radians(22.0))))
-    unit, arm = v["foot_dz"], v["thrust_point_dx"]
-    _, rear_foot = _leg(v, -1)
-    far = 4 * unit
-    ground = [rear_foot + a * along + b * normal for a, b in ((-far, 0), (far, 0), (far, -far), (-far, -far))]
-    axes.add_patch(Polygon(ground, facecolor="#E9E2D3", edgecolor=GROUND, linewidth=1.2))
-    for side in (-1, 1):
-        joint, foot = _leg(v, side)
-        draw_line(axes, [joint, foot], BODY, 3.2, solid_capstyle="round", zorder=3)
-        axes.plot(*joint, marker="o", markersize=6, color="white", markeredgecolor=BODY, zorder=4)
-        axes.plot(*foot, marker="o", markersize=5, color=BODY, zorder=4)
-        x, top = side * arm, 0.14 * unit
-        draw_line(axes, [(x, 0), (x, top)], BODY, 2)
-        draw_line(axes, [(x - 0.42 * unit, top), (x + 0.42 * unit, top)], BODY, 2)
-        arrow(axes, (x, top), (x, top + 0.42 * unit), _THRUST)
-        name, way = (r"$T_r$", "right") if side < 0 else (r"$T_f$", "left")
-        _write(axes, (x + side * 8, 0.5 * unit), name, _THRUST, ha=way, va="baseline")
-    draw_line(axes, [(-arm, 0), (arm, 0)], BODY, 3, zorder=3)
-    low, high = (v["joint_dx"], -v["joint_dz"]), (0.3 * unit, 0.09 * unit)
-    hull = [(-low[0], low[1]), low, high, (-high[0], high[1])]
-    axes.add_patch(Polygon(hull, facecolor="#DDDDDD", edgecolor=BODY, linewidth=1.2, zorder=2))
+    angle = float(np.clip(slope, np.radians(8.0), np.radians(22.0)))
+    along, normal = directions(angle)
+    unit, arm = -drone.feet[1, 1], drone.rods[0, 1, 0]
+    draw_slope(axes, angle, 4 * unit, drone.feet[0])
+    draw_drone(axes, drone, np.zeros(3), drone.feet, BODY, "#DDDDDD", 2.0, zorder=3)
+    axes.plot(*drone.joints.T, "o", markersize=6, color="white", markeredgecolor=BODY, zorder=4)
     axes.plot(0, 0, marker="o", markersize=6, color="black", zorder=5)
-    _lengths(axes, v, unit)
-    _forces(axes, v, unit, along, normal)
-    _frames(axes, v, unit, along, normal)
+    for (x, top), name, way in zip(drone.rods[1:3, 1], (r"$T_r$", r"$T_f$"), ("right", "left"), strict=True):
+        arrow(axes, (x, top), (x, top + 0.42 * unit), _THRUST)
+        _write(axes, (x + math.copysign(8, x), 0.5 * unit), name, _THRUST, ha=way, va="baseline")
+    _lengths(axes, drone, unit, arm)
+    _forces(axes, drone, unit, along, normal)
+    _frames(axes, drone, unit, along, normal)
     axes.set_xlim(-arm - 0.62 * unit, arm + 0.82 * unit)
-    axes.set_ylim(-v["foot_dz"] - 0.85 * unit, 1.35 * unit)
+    axes.set_ylim(-1.85 * unit, 1.35 * unit)
     return figure
 
 
-def _leg(v: Mapping[str, float], side: int = 1) -> tuple[FloatArray, FloatArray]:
-    """Return joint and foot of the rear (-1) or front leg (1)."""
-    return np.array([side * v["joint_dx"], -v["joint_dz"]]), np.array([side * v["foot_dx"], -v["foot_dz"]])
-
-
-def _lengths(axes: Axes, v: Mapping[str, float], unit: float) -> None:
+def _lengths(axes: Axes, drone: Drone, unit: float, arm: float) -> None:
     def dimension(start: tuple[float, float], end: tuple[float, float]) -> None:
         arrow(axes, start, end, _DIMENSION, 0.9, zorder=5, arrowstyle="<|-|>", mutation_scale=7)
 
+    joint, foot = drone.joints[1], drone.feet[1]
     draw_line(axes, [(0, 0.55 * unit), (0, 1.17 * unit)], _DIMENSION, 0.6)
-    for level, name, symbol, foot in (
-        (0.72, "joint_dx", "dx_j", -v["joint_dz"]),
-        (0.92, "foot_dx", "dx_f", -v["foot_dz"]),
-        (1.12, "thrust_point_dx", "dx_m", 0.0),
-    ):
-        x, z = v[name], level * unit
-        draw_line(axes, [(x, foot), (x, z + 0.05 * unit)], _DIMENSION, 0.6, zorder=1)
+    for level, (x, low), symbol in ((0.72, joint, "dx_j"), (0.92, foot, "dx_f"), (1.12, (arm, 0.0), "dx_m")):
+        z = level * unit
+        draw_line(axes, [(x, low), (x, z + 0.05 * unit)], _DIMENSION, 0.6, zorder=1)
         dimension((0, z), (x, z))
         _write(axes, (-6, z), f"${symbol}$ = {x:.0f} mm", _DIMENSION, fontsize=8)
-    # The feet's depth on the left, the joints' on the right.
-    arm = v["thrust_point_dx"]
-    for side, x, start, name, symbol in (
-        (-1, -arm - 0.3 * unit, -v["foot_dx"], "foot_dz", "dz_f"),
-        (1, arm + 0.12 * unit, v["joint_dx"], "joint_dz", "dz_j"),
+    # The depth of the feet on the left, of the joints on the right.
+    left: dict[str, Any] = {"rotation": 90}
+    for side, x, (start, z), symbol, height, look in (
+        (-1, -arm - 0.3 * unit, drone.feet[0], "dz_f", 0.3, left),
+        (1, arm + 0.12 * unit, joint, "dz_j", 0.5, {"ha": "left"}),
     ):
-        z = -v[name]
         draw_line(axes, [(x, 0), (side * arm, 0)], _DIMENSION, 0.6, zorder=1)
         draw_line(axes, [(x, z), (start, z)], _DIMENSION, 0.6, zorder=1)
         dimension((x, 0), (x, z))
-        look: dict[str, Any] = {"rotation": 90} if side < 0 else {"ha": "left"}
-        place = (x + 5 * side, (0.3 if side < 0 else 0.5) * z)
-        _write(axes, place, f"${symbol}$ = {v[name]:.0f} mm", _DIMENSION, fontsize=8, **look)
+        _write(axes, (x + 5 * side, height * z), f"${symbol}$ = {-z:.0f} mm", _DIMENSION, fontsize=8, **look)
 
 
-def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
+def _forces(axes: Axes, drone: Drone, unit: float, along: FloatArray, normal: FloatArray) -> None:
     arrow(axes, (0, 0), (0, -0.5 * unit), _WEIGHT)
     # To the left: the angle of the leg is written to the right.
     _write(axes, (-6, -0.5 * unit), r"$m_B\,g$", _WEIGHT)
-    joint, foot = _leg(v)
-    middle = 0.5 * (joint + foot)
+    joint, rear = drone.joints[1], drone.feet[0]
+    middle = 0.5 * (joint + drone.feet[1])
     arrow(axes, middle, (middle[0], middle[1] - 0.34 * unit), _WEIGHT)
     _write(axes, (middle[0] - 5, middle[1] - 0.32 * unit), r"$m_{leg}\,g$", _WEIGHT)
-    _, rear = _leg(v, -1)
     arrow(axes, rear, rear + 0.5 * unit * normal, NORMAL)
     tip = rear + 0.52 * unit * normal
     _write(axes, (tip[0] + 2, tip[1]), r"$F_n$", NORMAL, ha="left")
@@ -114,12 +121,9 @@ def _forces(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, 
     tip = rear - 0.46 * unit * along
     _write(axes, (tip[0], tip[1] + 0.07 * unit), r"$F_t$", FRICTION, va="bottom")
     thin = {"arrowstyle": "-", "color": "0.5", "linewidth": 0.7, "shrinkB": 4}
+    beside = (drone.rods[0, 1, 0] + 0.12 * unit, -0.42 * unit)
     for words, what, place in (
-        (
-            "axial: $k_h$, $b_h$\nbending: $k_t$, $b_t$",
-            joint,
-            (v["thrust_point_dx"] + 0.12 * unit, -0.42 * unit),
-        ),
+        ("axial: $k_h$, $b_h$\nbending: $k_t$, $b_t$", joint, beside),
         ("ground: $k_s$, $b_s$, $\\mu$", rear, (rear[0] + 0.3 * unit, rear[1] - 0.55 * unit)),
     ):
         axes.annotate(words, tuple(what), place, fontsize=8, va="center", ha="left", arrowprops=thin)
@@ -131,22 +135,21 @@ def _write(axes: Axes, place: Point, words: str, colour: str, **look: Any) -> No
     axes.text(float(place[0]), float(place[1]), words, color=colour, **chosen)
 
 
-def _frames(axes: Axes, v: Mapping[str, float], unit: float, along: FloatArray, normal: FloatArray) -> None:
+def _frames(axes: Axes, drone: Drone, unit: float, along: FloatArray, normal: FloatArray) -> None:
     size = 0.3 * unit
-    _, rear = _leg(v, -1)
-    origin = rear + (2 * v["foot_dx"] + 0.12 * unit) * along
     up, right = np.array([0.0, 1.0]), np.array([1.0, 0.0])
-    _axes(axes, origin, along, normal, size, "A")
-    corner = np.array([-v["thrust_point_dx"] - 0.5 * unit, -v["foot_dz"] - 0.6 * unit])
+    rear, foot = drone.feet
+    _axes(axes, rear + (2 * foot[0] + 0.12 * unit) * along, along, normal, size, "A")
+    corner = drone.rods[0, 0] + [-0.5 * unit, rear[1] - 0.6 * unit]
     _axes(axes, corner, right, up, size, "N")
     _axes(axes, np.zeros(2), right, up, size, "B")
-    joint, foot = _leg(v)
-    for side, name in ((-1, "C"), (1, "D")):
-        # Along the leg and across it, drawn beside it on the outer side.
-        leg = np.array([side, 1.0]) * (joint - foot)
-        z = leg / np.hypot(*leg)
-        aside = unit * np.array([-0.62, 0.12] if side < 0 else [0.3, -0.08])
-        middle = np.array([side, 1.0]) * (0.5 * joint + 0.5 * foot) + aside
+    for joint, end, aside, name in (
+        (drone.joints[0], rear, np.array([-0.62, 0.12]), "C"),
+        (drone.joints[1], foot, np.array([0.3, -0.08]), "D"),
+    ):
+        # Along the leg and across it, drawn beside the leg on its outer side.
+        z = (joint - end) / np.hypot(*(joint - end))
+        middle = 0.5 * (joint + end) + unit * aside
         _axes(axes, middle, np.array([z[1], -z[0]]), z, 0.8 * size, name)
     # The angle at rest, from straight down to the leg, at the front joint.
     angle = float(np.degrees(np.arctan2(foot[0] - joint[0], joint[1] - foot[1])))
@@ -161,8 +164,8 @@ def _axes(axes: Axes, origin: FloatArray, x: FloatArray, z: FloatArray, size: fl
     for way, symbol in ((x, "x"), (z, "z")):
         arrow(axes, origin, origin + size * way, _AXES, 1.2)
         place = origin + 1.22 * size * way
-        if way is x and name in "AB":  # beside the slope's line and the arms, not on them
-            place = place + (0.35 if name == "B" else -0.3) * size * z
+        if way is x and name in "AB":  # below the slope's line and the arms, not on them
+            place = place - 0.3 * size * z
         words = rf"$\hat{{{symbol}}}_{name}$"
         _write(axes, place, words, _AXES, fontsize=8.5, ha="center")
 

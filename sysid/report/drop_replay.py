@@ -1,11 +1,14 @@
-"""Drops of a fit, simulated once more with forces and legs: what snapshots, animation and diagrams draw.
+"""Drops of a fit, simulated once more with forces and legs, and the drone that every picture draws.
 
 A fit keeps the five compared channels of every drop, and the state at the window's start. Legs and forces
-come from a second simulation from that state.
+come from a second simulation from that state. A page plays drops (`animation`): its script gets the numbers
+from here and fetches nothing.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,15 +17,22 @@ from sysid.errors import ExportError
 from sysid.filters import runs
 from sysid.fit.result import FitResult, TrialResult
 from sysid.gear.model import simulate
-from sysid.report.drawing import directions
+from sysid.report.drawing import USES, directions
+from sysid.report.html import NOTHING, Html, filled
+from sysid.report.plots import embedded
 from sysid.types import BoolArray, FloatArray
 
-# Samples per second of a replay [Hz]: contacts last some 10 ms.
+# Rate of a replay [Hz]: contacts last some 10 ms.
 RATE = 1000.0
-# Two touchdowns of one foot less than this apart are one contact [s].
+# Step of the animation in samples of the replay.
+_EVERY = 2
+# Looks of the drone in shares of its arm: half width and height of the hull's top, height of a motor's mast,
+# half length of a propeller.
+_TOP, _HEIGHT, _MAST, _PROPELLER = 0.35, 0.14, 0.14, 0.47
+# Longest flight between two touchdowns of one foot that count as one contact [s].
 _ONE_CONTACT = 5e-3
-# Slower than this a foot on high friction sticks [m/s]: integration leaves a stuck foot less speed than this,
-# and a slip passes it within a millisecond.
+# Speed below which a foot on high friction sticks [m/s]: integration leaves a stuck foot less
+# speed than this, and a slip passes it within a millisecond.
 _STICKS = 1e-3
 START = "initial_state"
 FEET = ("rear", "front")
@@ -47,7 +57,7 @@ class DropReplay:
         [rad]; (n,) since the window's start [s]; the simulated set by name [SI].
     body, measured : (n, 3) array
         x_B, z_B [m] and pitch [rad]; as measured linear between frames, NaN where lost.
-    joints, feet : (n, 2, 2) array
+    feet : (n, 2, 2) array
         Rear and front, (x, z) [m].
     normal_force, friction_force, slip_speed : (n, 2) array
         Of the rear and the front foot, along the surface's normal or down-slope [N, m/s].
@@ -60,7 +70,6 @@ class DropReplay:
     slope: float
     time: FloatArray
     body: FloatArray
-    joints: FloatArray
     feet: FloatArray
     normal_force: FloatArray
     friction_force: FloatArray
@@ -113,36 +122,56 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     tolerance = float(fit.settings.get("tolerance", 3e-4))
     # A row of the table that an older fit lacks takes its default.
     run = simulate(values, slope, start, time, surface=surface, tolerance=tolerance)
-    joints, feet = leg_points(run.state, values)
-    lift = np.array([0.0, height])
+    feet, lift = foot_points(run.state, values), np.array([0.0, height])
+    # Feet are smooth in the coordinates: a difference over 0.1 us leaves an error of some 1e-7 m/s.
+    instant = 1e-7
+    moved = foot_points(run.state[:, :7] + instant * run.state[:, 7:], values)
     return DropReplay(
         trial.name, trial.use, slope, time, body=run.state[:, :3] + [0.0, height, 0.0],
-        joints=joints + lift, feet=feet + lift, normal_force=run.normal_force,
-        friction_force=run.friction_force, measured=_measured(fit, trial, time),
-        contacts=_contacts(time, run.normal_force), values=values,
-        slip_speed=_slip_speed(run.state, values, slope),
+        feet=feet + lift, normal_force=run.normal_force, friction_force=run.friction_force,
+        measured=_measured(fit, trial, time), contacts=_contacts(time, run.normal_force), values=values,
+        slip_speed=np.asarray((moved - feet) @ directions(slope)[0] / instant),
     )  # fmt: skip
 
 
-def leg_points(state: FloatArray, values: dict[str, float]) -> tuple[FloatArray, FloatArray]:
-    """Return joints and feet (n, 2, 2) of states (n, 7 or 14), rear and front, in frame N [m]."""
-    centre, q = state[:, :2], state[:, 2]
-    ex, ez = directions(q)
-    length = np.hypot(values["foot_dx"] - values["joint_dx"], values["foot_dz"] - values["joint_dz"])
-    joints, feet = [], []
-    for side, h, angle in ((-1.0, state[:, 3], q + state[:, 4]), (1.0, state[:, 5], q - state[:, 6])):
-        joint = centre + side * values["joint_dx"] * ex - values["joint_dz"] * ez
-        joints.append(joint)
-        feet.append(joint - (length + h)[:, None] * directions(angle)[1])
-    return np.stack(joints, 1), np.stack(feet, 1)
+@dataclass(frozen=True, eq=False)
+class Drone:
+    """A drone at rest in side view, x forward and z up from the centre of mass, rear before front [m]."""
+
+    joints: FloatArray
+    feet: FloatArray
+    hull: FloatArray
+    # Arm, masts and propellers (5, 2, 2), each from point to point.
+    rods: FloatArray
 
 
-def _slip_speed(state: FloatArray, values: dict[str, float], slope: float) -> FloatArray:
-    """Return the speed (n, 2) of the feet down the slope of states (n, 14) [m/s]."""
-    # Feet are smooth in the coordinates: what 0.1 us leaves is some 1e-7 m/s.
-    span = 1e-7
-    moved = leg_points(state[:, :7] + span * state[:, 7:], values)[1] - leg_points(state[:, :7], values)[1]
-    return np.asarray(moved @ directions(slope)[0] / span)
+def drone_of(values: Mapping[str, float]) -> Drone:
+    """Return the drone of a set: joints and feet as fitted; hull, masts and propellers are only its looks."""
+
+    def pair(x: float, z: float) -> FloatArray:
+        return np.array([[-x, z], [x, z]])
+
+    arm = values["thrust_point_dx"]
+    joints, feet = (pair(values[f"{part}_dx"], -values[f"{part}_dz"]) for part in ("joint", "foot"))
+    ends, tips = pair(arm, 0.0), pair(arm, _MAST * arm)
+    propeller = pair(_PROPELLER * arm, 0.0)
+    rods = [ends, *zip(ends, tips, strict=True), *(tip + propeller for tip in tips)]
+    hull = np.concatenate([joints, pair(-_TOP * arm, _HEIGHT * arm)])
+    return Drone(joints, feet, hull, np.array(rods))
+
+
+def placed(points: FloatArray, body: FloatArray) -> FloatArray:
+    """Return points (..., 2) of the body's frame in frame N, for a body (..., 3) at x_B, z_B and pitch."""
+    ex, ez = directions(body[..., 2])
+    return np.asarray(body[..., :2] + points[..., :1] * ex + points[..., 1:] * ez)
+
+
+def foot_points(state: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    """Return the feet (n, 2, 2) of states (n, 7 or 14), rear and front, in frame N [m]."""
+    rest = drone_of(values)
+    length = np.hypot(*(rest.feet - rest.joints)[1]) + state[:, [3, 5]]
+    lean = np.stack([state[:, 2] + state[:, 4], state[:, 2] - state[:, 6]], axis=1)
+    return placed(rest.joints, state[:, None, :3]) - length[..., None] * directions(lean)[1]
 
 
 def _start_of(values: dict[str, float], name: str, state: FloatArray) -> tuple[float, FloatArray]:
@@ -178,3 +207,70 @@ def _contacts(time: FloatArray, normal_force: FloatArray) -> tuple[Contact, ...]
                 of_foot.append(Contact(foot, start, stop))
         contacts += of_foot
     return tuple(sorted(contacts, key=lambda contact: contact.start))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A drop to be played: replays of one drop by the name of their fit, the first one judged.
+
+    `key` ties it to the traces of the drop.
+    """
+
+    key: str
+    replays: dict[str, DropReplay]
+
+
+def animation(scenes: Sequence[Scene], static: Html = NOTHING) -> Html:
+    """Return drops to be played, stepped through and slowed down; replays of one drop beside each other.
+
+    Nothing moves until a reader asks for it; where a reader's system asks for reduced motion, playing steps
+    from one instant of Fig. 7 to the next. `static` is what paper shows instead.
+    """
+    firsts = [next(iter(scene.replays.values())) for scene in scenes]
+    # Drops of two campaigns may have one name.
+    names = [next(iter(scene.replays)) for scene in scenes]
+    choices = [
+        f"{f'{name}, ' if len(set(names)) > 1 else ''}{drop.name}: "
+        f"{math.degrees(drop.slope):.0f}°, {USES[drop.use]}"
+        for name, drop in zip(names, firsts, strict=True)
+    ]
+    return filled(
+        "animation.html.j2",
+        names=", ".join(drop.name for drop in firsts),
+        choices=choices,
+        steepest=steepest(firsts),
+        data=embedded({"drops": [_document(scene) for scene in scenes]}),
+        static=static,
+    )
+
+
+def steepest(drops: Sequence[DropReplay]) -> int:
+    """Return which of some drops falls on the steepest slope: it is shown first."""
+    return max(range(len(drops)), key=lambda i: drops[i].slope)
+
+
+def _document(scene: Scene) -> dict[str, object]:
+    first = next(iter(scene.replays.values()))
+    return {
+        "key": scene.key,
+        "name": first.name,
+        "use": USES[first.use],
+        "slope": round(float(first.slope), 5),
+        "step": _EVERY / RATE,
+        "snapshots": [[round(t, 4), what] for t, what in first.first_contacts()],
+        "contacts": [[c.foot, round(c.start, 4), round(c.end, 4)] for c in first.contacts],
+        "fits": [{"name": name, **_movement(drop)} for name, drop in scene.replays.items()],
+    }
+
+
+def _movement(drop: DropReplay) -> dict[str, object]:
+    """Return what the script draws, in whole numbers: lengths [0.1 mm], angles [0.1 mrad], forces [N]."""
+    # The script draws no ghost that is 9 m away.
+    measured = np.where(np.isfinite(drop.measured), drop.measured, 9.0)
+    forces = drop.normal_force, drop.friction_force
+    frames = np.column_stack([1e4 * drop.body, 1e4 * drop.feet.reshape(-1, 4), *forces, 1e4 * measured])
+    drone = {
+        part: np.rint(1e4 * points).astype(int).tolist()
+        for part, points in vars(drone_of(drop.values)).items()
+    }
+    return {"frames": np.rint(np.nan_to_num(frames[::_EVERY])).astype(int).tolist(), "drone": drone}

@@ -11,13 +11,11 @@ from matplotlib.figure import Figure
 from sysid.errors import ExportError
 from sysid.fit.result import FitResult, TrialResult
 from sysid.gear.surfaces import SURFACES, Surface
-from sysid.report.animation import Scene, animation, steepest
-from sysid.report.diagrams import figure_geometry, figure_modes, mode_shares
-from sysid.report.drop_replay import FEET, DropReplay, replay_drop
+from sysid.report.diagrams import figure_geometry, figure_modes, gear_sketch, mode_shares
+from sysid.report.drop_replay import FEET, DropReplay, Scene, animation, replay_drop, steepest
 from sysid.report.fit_figures import Bars
 from sysid.report.fit_report import FitReport, titled
 from sysid.report.html import NOTHING, Html, paragraph, picture
-from sysid.report.sketches import gear_sketch
 from sysid.report.snapshots import figure_snapshots
 
 _LENGTHS = (

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 
 from sysid.fit.result import FitResult, TrialResult
 from sysid.report.drawing import RUNS, panels
+from sysid.report.html import Html
 from sysid.report.plots import Colour, Curve, Panel, View
 from sysid.trials.reversal import LEVEL, Repetitions
 from sysid.types import BoolArray, FloatArray
@@ -201,3 +202,20 @@ def spike_view(stated: Mapping[str, Mapping[str, Any]], points: Points, inertia:
     curves.append(Curve("best set", 1e3 * inertia * ends, "ink", x=ends, scaled=False))
     panel = Panel("torque above the static one", "mN·m", curves)
     return View("spikes", "torque spikes", np.array([]), [panel], axis=("acceleration", "rad/s²"))
+
+
+def motor_sketch() -> Html:
+    """Return the model of a motor: a voltage, winding resistance and inductance, back-emf and a propeller."""
+    coil = "".join("a7 7 0 0 1 14 0" for _ in range(4))
+    parts = [
+        '<path d="M20 150V96M20 84V40H52"/><path d="M8 96H32M13 84H27" stroke-width="3"/>',
+        '<path d="M52 40l5-9 9 18 9-18 9 18 9-18 5 9" stroke="var(--c-best)"/><path d="M98 40h14"/>',
+        f'<path d="M112 40{coil}" stroke="var(--c-best)"/><path d="M168 40H196V68M196 122V150H20"/>',
+        '<circle cx="196" cy="95" r="27" fill="var(--c-body)"/><path d="M223 95h37" stroke-width="4"/>',
+        '<ellipse cx="264" cy="62" rx="7" ry="33"/><ellipse cx="264" cy="128" rx="7" ry="33"/>',
+        '<path d="M286 95h26m-9-7l9 7l-9 7" stroke="var(--c-blue)"/>',
+    ]
+    for x, y, letter in ((75, 22, "R"), (140, 22, "L"), (196, 102, "e"), (48, 95, "u"), (300, 84, "T")):
+        parts.append(f'<text x="{x}" y="{y}">{letter}</text>')
+    words = "circuit of the motor: voltage, resistance, inductance, back-emf; propeller with its thrust"
+    return Html(f'<svg role="img" aria-label="{words}" viewBox="0 8 322 152">{"".join(parts)}</svg>')

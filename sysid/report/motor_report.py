@@ -16,13 +16,13 @@ from sysid.report.html import NOTHING, Html, columns, definitions, paragraph
 from sysid.report.motor_figures import (
     command_panel,
     curve_views,
+    motor_sketch,
     reversal_commands,
     reversal_view,
     spike_view,
     thrust_panel,
 )
 from sysid.report.plots import Panel, View, figure_of, interactive, printed
-from sysid.report.sketches import motor_sketch
 from sysid.types import FloatArray
 
 # Reversals that paper shows.

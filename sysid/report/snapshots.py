@@ -13,20 +13,20 @@ from matplotlib.patches import Polygon
 
 from sysid.errors import ExportError
 from sysid.report.drawing import WIDTH, arrow, directions, draw_legend, draw_line, panels
-from sysid.report.drop_replay import DropReplay
+from sysid.report.drop_replay import Drone, DropReplay, drone_of, placed
 from sysid.storage import write_file
 from sysid.types import FloatArray
 
 NORMAL, FRICTION = "#0072B2", "#D55E00"
 GROUND, BODY, LEG, GHOST = "#8C7A5B", "#333333", "#555555", "#B0B0B0"
-# Longest arrow of a force [m].
+# Length of the longest arrow of a force [m].
 _LONGEST = 0.22
-# Half height of the body and of the hub, radius of a propeller [m]; only the looks.
-_HUB, _HUB_HEIGHT, _PROPELLER, _MAST = 0.055, 0.022, 0.075, 0.022
-# Samples to both sides of an instant in which its arrows are looked for.
+# Number of samples to both sides of an instant, among which its arrows show the largest force.
 _NEAR = 8
-# Frames per second of a film, and how much slower than life it is.
-FILM_RATE, SLOW = 20, 10.0
+# Frames per second of a film.
+FILM_RATE = 20
+# Factor by which a film is slower than life [1].
+SLOW = 10.0
 
 
 def figure_snapshots(drop: DropReplay, *, legend: bool = False) -> Figure:
@@ -70,19 +70,12 @@ def _draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, loaded: int)
     axes.set_aspect("equal")
     axes.set_axis_off()
     along, normal = directions(drop.slope)
-    corners = [-5 * along, 5 * along, 5 * along - normal, -5 * along - normal]
-    axes.add_patch(Polygon(corners, facecolor="#E9E2D3", edgecolor=GROUND, linewidth=1.2, zorder=1))
+    draw_slope(axes, drop.slope, 5.0)
+    drone = drone_of(drop.values)
     if np.isfinite(drop.measured[i]).all():
-        v = drop.values
-        x, z, q = drop.measured[i]
-        ex, ez = directions(q)
-        centre = np.array([x, z])
-        joints = [centre + s * v["joint_dx"] * ex - v["joint_dz"] * ez for s in (-1, 1)]
-        feet = [centre + s * v["foot_dx"] * ex - v["foot_dz"] * ez for s in (-1, 1)]
-        _draw_body(axes, centre, q, v["thrust_point_dx"], np.array([joints, feet]), GHOST, zorder=2)
-    x, z, q = drop.body[i]
-    legs = np.stack([drop.joints[i], drop.feet[i]])
-    _draw_body(axes, np.array([x, z]), q, drop.values["thrust_point_dx"], legs, BODY, zorder=4)
+        ghost = drop.measured[i]
+        draw_drone(axes, drone, ghost, placed(drone.feet, ghost), GHOST, "none", 1.0, zorder=2)
+    draw_drone(axes, drone, drop.body[i], drop.feet[i], BODY, "#DDDDDD", 2.0, zorder=4)
     for foot in (0, 1):
         start = drop.feet[i, foot]
         for force, way, colour in (
@@ -93,26 +86,26 @@ def _draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, loaded: int)
                 arrow(axes, start, start + scale * force * way, colour, 1.8)
 
 
-def _draw_body(
-    axes: Axes, centre: FloatArray, q: float, arm: float, legs: FloatArray, colour: str, *, zorder: int
-) -> None:
-    ex, ez = directions(q)
-    width = 1.0 if colour == GHOST else 2.0
-    for joint, foot in zip(legs[0], legs[1], strict=True):
-        # The joint hangs below the arm.
-        hang = centre + float((joint - centre) @ ex) * ex
-        draw_line(axes, [hang, joint], colour, width, zorder=zorder)
-        draw_line(axes, [joint, foot], colour, width + 0.6, zorder=zorder, solid_capstyle="round")
-        axes.plot(*foot, marker="o", markersize=3 + width, color=colour, zorder=zorder)
-    draw_line(axes, [centre - arm * ex, centre + arm * ex], colour, width + 0.6, zorder=zorder)
-    hub = [centre + a * _HUB * ex + b * _HUB_HEIGHT * ez for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    face = "none" if colour == GHOST else "#DDDDDD"
-    axes.add_patch(Polygon(hub, facecolor=face, edgecolor=colour, linewidth=width, zorder=zorder))
-    for side in (-1, 1):
-        mast = centre + side * arm * ex
-        top = mast + _MAST * ez
-        draw_line(axes, [mast, top], colour, width, zorder=zorder)
-        draw_line(axes, [top - _PROPELLER * ex, top + _PROPELLER * ex], colour, width, zorder=zorder)
+def draw_slope(axes: Axes, slope: float, far: float, origin: FloatArray | float = 0.0) -> None:
+    """Draw a slope [rad] through a point, as far as `far` to both sides and below."""
+    along, normal = directions(slope)
+    corners = [(-far, 0), (far, 0), (far, -far), (-far, -far)]
+    ground = [origin + a * along + b * normal for a, b in corners]
+    axes.add_patch(Polygon(ground, facecolor="#E9E2D3", edgecolor=GROUND, linewidth=1.2, zorder=1))
+
+
+def draw_drone(
+    axes: Axes, drone: Drone, body: FloatArray, feet: FloatArray, colour: str, face: str, width: float, *,
+    zorder: int,
+) -> None:  # fmt: skip
+    """Draw a drone in frame N: its body (3,) at x_B, z_B and pitch, its feet (2, 2)."""
+    for leg in np.stack([placed(drone.joints, body), feet], axis=1):
+        draw_line(axes, leg, colour, width + 0.6, zorder=zorder, solid_capstyle="round")
+        axes.plot(*leg[1], marker="o", markersize=3 + width, color=colour, zorder=zorder)
+    for rod in placed(drone.rods, body):
+        draw_line(axes, rod, colour, width, zorder=zorder)
+    hull = placed(drone.hull, body)
+    axes.add_patch(Polygon(hull, facecolor=face, edgecolor=colour, linewidth=width, zorder=zorder))
 
 
 def check_film(path: Path, force: bool) -> None:

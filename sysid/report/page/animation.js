@@ -17,7 +17,7 @@
       part("drop").value = String(index);
       drop.length = (drop.fits[0].frames.length - 1) * drop.step;
       newton = 1;
-      for (const fit of drop.fits) for (const f of fit.frames) newton = Math.max(newton, f[11], f[12]);
+      for (const fit of drop.fits) for (const f of fit.frames) newton = Math.max(newton, f[7], f[8]);
       seek.max = String(Math.round(drop.length * 1000));
       scenes.classList.toggle("two", drop.fits.length > 1);
       while (scenes.children.length > drop.fits.length) scenes.lastChild.remove();
@@ -129,7 +129,8 @@
       if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
       if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
       canvas.style.height = height + "px";
-      const c = canvas.getContext("2d"), f = at(fit, time), arm = fit.arm + 750, tall = fit.foot[1];
+      const c = canvas.getContext("2d"), f = at(fit, time), drone = fit.drone, tall = -drone.feet[0][1];
+      const arm = Math.max(...drone.rods.flat().map((end) => end[0]));
       // The drone fills its canvas and the view follows it; without following, the whole movement is in view.
       // A narrow view is higher: the words above the drone have room.
       let x0 = f[0], z0 = f[1] - (narrow ? 0.1 : 0.3) * tall, k = Math.min(width / (2.15 * arm), height / (2.6 * tall));
@@ -155,24 +156,23 @@
       for (let m = -40; m <= 40; m++) line(1000 * m * along[0], 1000 * m * along[1], 1000 * m * along[0] - 110 * up[0], 1000 * m * along[1] - 110 * up[1]);
       if (part("path").checked) {
         track(fit.frames.map((g) => [g[0], g[1]]), colours.best);
-        track(drop.fits[0].frames.filter((g) => g[15] < 8.9e4).map((g) => [g[15], g[16]]), colours.faint);
+        track(drop.fits[0].frames.filter((g) => g[11] < 8.9e4).map((g) => [g[11], g[12]]), colours.faint);
       }
-      const rest = (P) => [-1, 1].map((side) => [...P(side * fit.joint[0], -fit.joint[1]), ...P(side * fit.foot[0], -fit.foot[1])]);
-      const seen = at(drop.fits[0], time);
-      if (part("ghost").checked && seen[15] < 8.9e4) shape(seen[15], seen[16], seen[17], rest, colours.faint, 1.3, null);
+      const measured = at(drop.fits[0], time).slice(11);
+      if (part("ghost").checked && measured[0] < 8.9e4) shape(measured, null, colours.faint, 1.3, null);
       c.setLineDash([3, 4]);
       c.strokeStyle = colours.faint; c.lineWidth = 1;
-      const s = Math.sin(f[2] / 1e4), o = Math.cos(f[2] / 1e4);
-      for (const leg of rest((a, b) => [f[0] + a * o + b * s, f[1] - a * s + b * o])) line(...leg);
+      const body = placed(f);
+      drone.joints.forEach((joint, k) => line(...body(joint), ...body(drone.feet[k])));
       c.setLineDash([]);
-      shape(f[0], f[1], f[2], () => [[f[3], f[4], f[7], f[8]], [f[5], f[6], f[9], f[10]]], colours.ink, 2.6, colours.body);
+      shape(f, [[f[3], f[4]], [f[5], f[6]]], colours.ink, 2.6, colours.body);
       c.beginPath(); c.arc(X(f[0]), Z(f[1]), 4, 0, 7); c.fillStyle = colours.best; c.fill();
       // Forces to scale: the largest one of the drop is as long as a leg.
       const scale = (0.95 * tall * k) / newton;
       for (const foot of [0, 1]) {
-        const x = X(f[7 + 2 * foot]), z = Z(f[8 + 2 * foot]);
-        arrow(x, z, up, f[11 + foot] * scale, colours.blue);
-        arrow(x, z, along, f[13 + foot] * scale, colours.best);
+        const x = X(f[3 + 2 * foot]), z = Z(f[4 + 2 * foot]);
+        arrow(x, z, up, f[7 + foot] * scale, colours.blue);
+        arrow(x, z, along, f[9 + foot] * scale, colours.best);
       }
       legend();
 
@@ -183,23 +183,23 @@
         c.stroke();
         c.setLineDash([]);
       }
-      function shape(x, z, q, legs, colour, thick, fill) {
+      /* From the body's frame to frame N, for a body at x, z and pitch. */
+      function placed([x, z, q]) {
         const sine = Math.sin(q / 1e4), cosine = Math.cos(q / 1e4);
-        const P = (a, b) => [x + a * cosine + b * sine, z - a * sine + b * cosine];
+        return ([a, b]) => [x + a * cosine + b * sine, z - a * sine + b * cosine];
+      }
+      /* The drone as sysid.report.drop_replay.Drone describes it; without feet of its own its legs are at rest. */
+      function shape(pose, feet, colour, thick, fill) {
+        const body = placed(pose);
         c.strokeStyle = colour; c.lineWidth = thick; c.lineCap = "round";
-        for (const leg of legs(P)) {
-          line(leg[0], leg[1], leg[2], leg[3]);
-          const out = (leg[0] - x) * cosine - (leg[1] - z) * sine;
-          line(...P(out, 0), leg[0], leg[1]);
-          c.beginPath(); c.arc(X(leg[2]), Z(leg[3]), thick + 1, 0, 7); c.fillStyle = colour; c.fill();
-        }
-        line(...P(-fit.arm, 0), ...P(fit.arm, 0));
-        for (const side of [-1, 1]) {
-          line(...P(side * fit.arm, 0), ...P(side * fit.arm, 220));
-          line(...P(side * fit.arm - 750, 220), ...P(side * fit.arm + 750, 220));
-        }
+        drone.joints.forEach(function (joint, k) {
+          const foot = feet ? feet[k] : body(drone.feet[k]);
+          line(...body(joint), ...foot);
+          c.beginPath(); c.arc(X(foot[0]), Z(foot[1]), thick + 1, 0, 7); c.fillStyle = colour; c.fill();
+        });
+        for (const [from, to] of drone.rods) line(...body(from), ...body(to));
         c.beginPath();
-        for (const [a, b] of [[-550, -220], [550, -220], [550, 220], [-550, 220]]) { const p = P(a, b); c.lineTo(X(p[0]), Z(p[1])); }
+        for (const p of drone.hull.map(body)) c.lineTo(X(p[0]), Z(p[1]));
         c.closePath();
         if (fill) { c.fillStyle = fill; c.fill(); }
         c.stroke();
@@ -218,7 +218,7 @@
         const row = narrow ? 15 : 18;
         c.font = (narrow ? 11 : 13) + "px system-ui, sans-serif"; c.textBaseline = "middle"; c.textAlign = "right"; c.fillStyle = colours.text;
         c.fillText((drop.fits.length > 1 ? fit.name + ", " : "") + drop.name + " (" + drop.use + ")", width - 10, 14);
-        c.fillText("rear " + Math.round(f[11]) + " N, front " + Math.round(f[12]) + " N", width - 10, 14 + row);
+        c.fillText("rear " + Math.round(f[7]) + " N, front " + Math.round(f[8]) + " N", width - 10, 14 + row);
         const nice = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((n) => n * scale <= (narrow ? 50 : 90)).pop() || 1;
         const rows = [["normal force", colours.blue], ["friction", colours.best]];
         rows.forEach(function ([text, colour], n) {

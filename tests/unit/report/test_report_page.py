@@ -20,10 +20,18 @@ from sysid.fit.store import read_fit, write_fit
 from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
 from sysid.parameter_sets import ParameterRecord
 from sysid.report import diagrams, gear_report, model_notes
-from sysid.report.animation import Scene, animation
 from sysid.report.answer import Reopened
 from sysid.report.drawing import as_math, display_of, thinned
-from sysid.report.drop_replay import START, DropReplay, leg_points, replay_drop
+from sysid.report.drop_replay import (
+    START,
+    DropReplay,
+    Scene,
+    animation,
+    drone_of,
+    foot_points,
+    placed,
+    replay_drop,
+)
 from sysid.report.fit_figures import figure_spread, figure_waterfall
 from sysid.report.fit_report import FitReport
 from sysid.report.gear_report import GearReport
@@ -259,7 +267,8 @@ def test_a_replay_repeats_the_drop_with_its_feet_and_forces(drop_fit, drop):
     np.testing.assert_allclose(drop.normal_force[pressed], 1.10e5 * depth[pressed], atol=0.05)
     assert np.all(depth[~pressed] <= 1e-12)
     assert np.all(np.abs(drop.friction_force) <= 0.44 * drop.normal_force + 1e-9)
-    np.testing.assert_allclose(drop.joints[0], [[-0.088, 0.186], [0.088, 0.186]], atol=1e-12)
+    joints = placed(drone_of(drop.values).joints, drop.body[0])
+    np.testing.assert_allclose(joints, [[-0.088, 0.186], [0.088, 0.186]], atol=1e-12)
     np.testing.assert_allclose(drop.feet[0], [[-0.105, 0.059], [0.105, 0.059]], atol=1e-12)
 
 
@@ -294,12 +303,12 @@ def test_a_replay_s_modes_are_those_of_the_located_switches(drop_fit):
 
 def test_legs_at_rest_end_in_the_feet():
     state = np.zeros((1, 7))
-    values = {"joint_dx": 0.08, "joint_dz": 0.02, "foot_dx": 0.1, "foot_dz": 0.15}
+    values = {"joint_dx": 0.08, "joint_dz": 0.02, "foot_dx": 0.1, "foot_dz": 0.15, "thrust_point_dx": 0.16}
     state[0, [4, 6]] = np.arctan2(0.02, 0.13)
-    _, feet = leg_points(state, values)
+    feet = foot_points(state, values)
     np.testing.assert_allclose(feet[0], [[-0.1, -0.15], [0.1, -0.15]], atol=1e-15)
     state[0, 5] = 0.01  # the front leg alone, longer
-    longer = leg_points(state, values)[1][0] - feet[0]
+    longer = foot_points(state, values)[0] - feet[0]
     assert np.allclose(longer[0], 0)
     assert np.hypot(*longer[1]) == pytest.approx(0.01)
 
@@ -389,8 +398,11 @@ def test_the_animation_holds_the_numbers_and_no_way_out_of_its_script(drop_fit):
     frames = np.array(document["fits"][0]["frames"])
     # Tenths of a millimetre and of a milliradian, rounded.
     np.testing.assert_allclose(frames[:, :3] / 1e4, drop.body[::2], atol=0.6e-4)
-    np.testing.assert_allclose(frames[:, 7:11].reshape(-1, 2, 2) / 1e4, drop.feet[::2], atol=0.6e-4)
-    np.testing.assert_allclose(frames[:, 11:13], drop.normal_force[::2], atol=0.51)
+    np.testing.assert_allclose(frames[:, 3:7].reshape(-1, 2, 2) / 1e4, drop.feet[::2], atol=0.6e-4)
+    np.testing.assert_allclose(frames[:, 7:9], drop.normal_force[::2], atol=0.51)
+    np.testing.assert_allclose(
+        document["fits"][0]["drone"]["feet"], [[-1050, -1510], [1050, -1510]], atol=0.6
+    )
     assert [what for _, what in document["snapshots"]] == [what for _, what in drop.first_contacts()]
 
 
@@ -406,9 +418,9 @@ def test_the_shares_of_modes_follow_friction():
         np.array(values)[:, None] * rear
         for values in ([10.0] * 4, [-8.0, 8.0, 3.0, 8.5], [0.3, -0.02, 1e-5, -3e-5])
     )
-    body, legs, time = np.zeros((4, 3)), np.zeros((4, 2, 2)), np.arange(4) / 1e3
+    body, feet, time = np.zeros((4, 3)), np.zeros((4, 2, 2)), np.arange(4) / 1e3
     values = {"kinetic_friction": 0.8}
-    drop = DropReplay("a", "fit", 0.0, time, body, legs, legs, normal, friction, body, (), values, speed)
+    drop = DropReplay("a", "fit", 0.0, time, body, feet, normal, friction, body, (), values, speed)
     shares = diagrams.mode_shares([drop])
     assert shares == {"both slip": 0.5, "rear sticks": 0.5, "front sticks": 0.0, "both stick": 0.0}
     assert diagrams.mode_shares([]) == {}
