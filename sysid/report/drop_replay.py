@@ -118,6 +118,7 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     slope = float(np.radians(log["slope_deg"]))
     span = float(trial.time[-1] - trial.time[0])
     time = np.arange(0.0, span + 0.5 / RATE, 1.0 / RATE)
+    measured = _measured(fit, trial, time)
     surface = str(fit.settings.get("surface", "lf"))
     tolerance = float(fit.settings.get("tolerance", 3e-4))
     # A row of the table that an older fit lacks takes its default.
@@ -129,7 +130,7 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     return DropReplay(
         trial.name, trial.use, slope, time, body=run.state[:, :3] + [0.0, height, 0.0],
         feet=feet + lift, normal_force=run.normal_force, friction_force=run.friction_force,
-        measured=_measured(fit, trial, time), contacts=_contacts(time, run.normal_force), values=values,
+        measured=measured, contacts=_contacts(time, run.normal_force), values=values,
         slip_speed=np.asarray((moved - feet) @ directions(slope)[0] / instant),
     )  # fmt: skip
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -77,6 +77,9 @@ from sysid.trust.documents import (
 )
 from sysid.types import FloatArray
 
+if TYPE_CHECKING:
+    from sysid.report.drop_replay import DropReplay
+
 Content = TypeVar("Content", bound=Callable[..., Html])
 _COUNTS = (
     "no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve",
@@ -136,7 +139,7 @@ class FitReport:
         """Return under which conditions a trial was recorded, for its title."""
         return ""
 
-    def film(self, name: str | None) -> Any:
+    def film(self, name: str | None) -> DropReplay:
         """Return the motion that a film shows; raise an ExportError where there is none."""
         raise ExportError(f"{self.fit.name}: a {self.fit.kind} makes no drops; films show landing gears")
 
@@ -197,14 +200,20 @@ class FitReport:
         return out
 
     @cached_property
-    def likelihood_profiles(self) -> list[tuple[FreeParameter, FloatArray, FloatArray]]:
-        """Row of the document of trust, values (n,) [SI] and deviance (n,) [1] of every profile."""
+    def likelihood_profiles(self) -> list[tuple[FreeParameter, FloatArray, FloatArray, FloatArray | None]]:
+        """Every profile: row of the document of trust, values (n,) [SI], deviance (n,) [1], all free (n, k).
+
+        Older documents of trust lack the last.
+        """
         if self.trust is None:
             return []
         arrays = documents.read_arrays(self.folder, documents.TRUST)
         paths = ((row, f"profiles/{row.name}") for row in self.trust.parameters)
-        known = ((row, path) for row, path in paths if f"{path}/value" in arrays)
-        return [(row, arrays[f"{path}/value"], arrays[f"{path}/deviance"]) for row, path in known]
+        return [
+            (row, arrays[f"{path}/value"], arrays[f"{path}/deviance"], arrays.get(f"{path}/others"))
+            for row, path in paths
+            if f"{path}/value" in arrays
+        ]
 
     @property
     def trials(self) -> tuple[TrialResult, ...]:
@@ -435,7 +444,7 @@ class FitReport:
     def profiles(self) -> Html:
         """Return the profiles of the likelihood."""
         pieces = []
-        for row, *curve in self.likelihood_profiles:
+        for row, *curve, _ in self.likelihood_profiles:
             words = f"deviance over {row.name}, all others fitted again: {row.words}"
             pieces.append(picture(figure_profile(row, *curve), words))
         out = side_by_side(pieces)
@@ -543,7 +552,7 @@ class FitReport:
             out["correlation"] = figure_correlation(self.trust)
         if self.climbed is not None:
             out["ladder"] = figure_rungs(self.climbed)
-        for row, *curve in self.likelihood_profiles:
+        for row, *curve, _ in self.likelihood_profiles:
             out[file_name(f"profile-{row.name}")] = figure_profile(row, *curve)
         return out
 

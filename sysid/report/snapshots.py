@@ -14,7 +14,6 @@ from matplotlib.patches import Polygon
 from sysid.errors import ExportError
 from sysid.report.drawing import WIDTH, arrow, directions, draw_legend, draw_line, panels
 from sysid.report.drop_replay import Drone, DropReplay, drone_of, placed
-from sysid.storage import write_file
 from sysid.types import FloatArray
 
 NORMAL, FRICTION = "#0072B2", "#D55E00"
@@ -124,12 +123,11 @@ def check_film(path: Path, force: bool) -> None:
         raise ExportError(f"{path}: ffmpeg was not found, and MP4 needs it; install ffmpeg, or write a .gif")
 
 
-def write_film(drop: DropReplay, path: Path, *, force: bool = False) -> Path:
-    """Write a drop as a film, ten times slower than life, after `check_film`."""
+def film_bytes(drop: DropReplay, kind: str) -> bytes:
+    """Return the content of a drop's film, ten times slower than life; `kind` is ``gif`` or ``mp4``."""
     from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    check_film(path, force)
     figure = Figure(figsize=(6.4, 4.4), dpi=100)
     axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
     scale = _force_scale(drop)
@@ -153,8 +151,7 @@ def write_film(drop: DropReplay, path: Path, *, force: bool = False) -> Path:
     FigureCanvasAgg(figure)
     film = FuncAnimation(figure, draw, frames=list(shots), blit=False, cache_frame_data=False)  # type: ignore[arg-type]
     with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / f"film{path.suffix.lower()}"
-        writer = PillowWriter if made.suffix == ".gif" else FFMpegWriter
+        made = Path(folder) / f"film.{kind}"
+        writer = PillowWriter if kind == "gif" else FFMpegWriter
         film.save(made, writer=writer(fps=FILM_RATE))
-        write_file(path, made.read_bytes(), ExportError)
-    return path
+        return made.read_bytes()

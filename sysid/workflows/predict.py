@@ -6,8 +6,9 @@ Every prediction of a campaign by a fit is `predict` on the campaign opened unde
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -60,9 +61,20 @@ class Predicted:
         mean, by_channel = self.problem.cost.mean, self.scored.by_channel
         return np.stack([mean(by_channel[:, [t]]) for t in range(by_channel.shape[1])], axis=1)
 
+    @cached_property
+    def floor(self) -> FloatArray:
+        """(T, C) noise of the measurement as compared, at the best set [channel units]; NaN where unknown."""
+        return self.story.floor(self.rows[0])
+
+    @property
+    def evidence(self) -> Mapping[str, tuple[FloatArray, FloatArray]]:
+        """Points behind what the fit takes as known, at the best set, see `Story.evidence`."""
+        return self.story.evidence(self.rows[0])
+
     def judge(self, t: int, sets: slice, floor: FloatArray) -> JudgedTrial:
         """Judge a trial as some sets predict it, the first of them best; `floor` (T, C) [channel units]."""
         problem, best = self.problem, sets.start or 0
+        contacts = self.story.contacts(t, self.rows[best])
         return judge(
             problem.trials[t],
             self.nrmse[sets, t],
@@ -72,7 +84,7 @@ class Predicted:
             noise=floor[t],
             weights=problem.cost.weights,
             channels=problem.channels,
-            contacts=self.story.contacts(t, self.rows[best]),
+            contacts=contacts,
         )
 
 
@@ -164,8 +176,7 @@ def validate_fit(
         problem = predicted.problem
         journal.fold(len(problem.trials))
         _notice_assumed(problem)
-        floor = predicted.story.floor(predicted.rows[0])
-        judged = [predicted.judge(t, slice(None), floor) for t in range(len(problem.trials))]
+        judged = [predicted.judge(t, slice(None), predicted.floor) for t in range(len(problem.trials))]
         _notice_unlike(judged, kind.words)
         stated = stated_campaign(problem.campaign.source, folder)
         more = predicted.story.beyond(predicted.rows)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from sysid.errors import FitError
+from sysid.errors import FitError, SysidError
 from sysid.fit.kind import Kind, Term
 from sysid.fit.problem import Problem
 from sysid.fit.provenance import CampaignFile
@@ -14,6 +14,7 @@ from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import notice
 from sysid.parameters import SearchSpace
+from sysid.synthetic.folder import read_truth
 from sysid.workflows.kinds import naming_campaign, open_campaign
 
 
@@ -57,6 +58,14 @@ class OpenedFit:
         return self.whole.fitted.exact
 
     @property
+    def truth(self) -> dict[str, float]:
+        """True values by parameter [SI], where the campaign was synthesized."""
+        try:
+            return dict(read_truth(self.path)["parameters"])
+        except SysidError:
+            return {}
+
+    @property
     def stated(self) -> CampaignFile:
         """Name and hash of the campaign file as it was read."""
         return {"file": self.path.name, "sha256": self.whole.campaign.source.sha256}
@@ -79,7 +88,11 @@ def open_fit(folder: Path, campaign: Path | None = None, threads: int | None = N
     than the fit.
     """
     folder = fit_folder(Path(folder))
-    result = read_fit(folder)
+    return reopen(folder, read_fit(folder), campaign, threads)
+
+
+def reopen(folder: Path, result: FitResult, campaign: Path | None, threads: int | None) -> OpenedFit:
+    """Prepare the trials of a fit that has been read, as `open_fit` does."""
     if not len(result.nrmse):
         raise FitError(f"{folder}: has no set; run the fit again")
     path = campaign_of(result, folder, campaign)

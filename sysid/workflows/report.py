@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,23 +13,21 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import ExportError, FitError, SysidError
-from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import Journal, Say
 from sysid.report.answer import Reopened
-from sysid.report.drawing import save_figure
+from sysid.report.drawing import figure_bytes
 from sysid.report.fit_report import FitReport
-from sysid.report.snapshots import check_film, write_film
-from sysid.storage import check_file, schema_of, write_file
-from sysid.synthetic.folder import read_truth
+from sysid.report.snapshots import check_film, film_bytes
+from sysid.storage import check_file, schema_of, write_file, write_files
 from sysid.trust import documents
 from sysid.types import FloatArray
 from sysid.workflows.kinds import find_report
 from sysid.workflows.map_pages import PAGES
 from sysid.workflows.options import ReportOptions
 from sysid.workflows.predict import predict, predicted_fit
-from sysid.workflows.reopen import open_fit
+from sysid.workflows.reopen import reopen
 
 
 def open_report(fit: str | Path, against: str | Path | None = None) -> FitReport:
@@ -54,40 +51,40 @@ def reopened(report: FitReport) -> Reopened:
     The band is of the parameter sets at the ends of every 95 % interval, found between two points of its
     profile: each keeps one parameter at an end while all others are fitted again.
     """
+    fit = report.fit
     try:
         with Journal():
-            opened = open_fit(report.folder, None, 1)
-            predicted = predict(report.fit, opened.kind, opened.whole)
-            band = _band(report, opened.whole.space.names, predicted.problem)
-            problem, rows = predicted.problem, predicted.rows
-            floor = predicted.story.floor(rows[0])
-            noise = dict(zip(problem.names, floor, strict=True))
-            evidence = predicted.story.evidence(rows[0])
+            opened = reopen(report.folder, fit, None, 1)
+            ends = _ends(report, opened.space.names)
+            predicted = predict(fit, opened.kind, opened.whole, np.concatenate([fit.values, ends]))
+            trials, sets = predicted.problem.trials, slice(0, len(fit.values))
             held_out = {
-                trial.name: float(predicted.judge(t, slice(None), floor).ratio)
-                for t, trial in enumerate(problem.trials)
+                trial.name: float(predicted.judge(t, sets, predicted.floor).ratio)
+                for t, trial in enumerate(trials)
                 if trial.use == "validate"
             }
+            truth, evidence = opened.truth, predicted.evidence
     except (SysidError, OSError):
         return Reopened()
-    truth: dict[str, float] = {}
-    with suppress(SysidError):
-        truth = dict(read_truth(opened.path)["parameters"])
+    band = {}
+    if len(ends):
+        for trial, signals in zip(trials, predicted.scored.signals, strict=True):
+            of_ends = signals[len(fit.values) :]
+            with np.errstate(invalid="ignore"):
+                band[trial.name] = np.nanmin(of_ends, axis=0), np.nanmax(of_ends, axis=0)
+    noise = dict(zip((trial.name for trial in trials), predicted.floor, strict=True))
     return Reopened(band, noise, held_out, truth, evidence)
 
 
-def _band(
-    report: FitReport, names: Sequence[str], problem: Problem
-) -> dict[str, tuple[FloatArray, FloatArray]]:
-    if report.trust is None:
-        return {}
-    arrays, fit = documents.read_arrays(report.folder, documents.TRUST), report.fit
+def _ends(report: FitReport, names: Sequence[str]) -> FloatArray:
+    """Return sets (E, n) of all parameters at the ends of the intervals of the free ones, `names` [SI].
+
+    Derived parameters follow from the free ones and are not read: they keep the values of the best set.
+    """
     ends = []
-    for row in report.trust.parameters:
-        path = f"profiles/{row.name}"
-        if f"{path}/others" not in arrays:
+    for _, _, deviance, others in report.likelihood_profiles:
+        if others is None:
             continue
-        deviance, others = arrays[f"{path}/deviance"], arrays[f"{path}/others"]
         least = int(np.argmin(deviance))
         for side in (slice(least, None, -1), slice(least, None)):
             inside = np.flatnonzero(deviance[side] > _AT_END)
@@ -98,16 +95,11 @@ def _band(
             low, high = deviance[side][k - 1 : k + 1]
             share = (_AT_END - low) / (high - low)
             ends.append(others[side][k - 1] + share * (others[side][k] - others[side][k - 1]))
-    if not ends:
-        return {}
-    columns = [[record.name for record in fit.parameters].index(name) for name in names]
+    fit = report.fit
     values = np.repeat(fit.values[:1], len(ends), axis=0)
-    values[:, columns] = ends
-    # Derived parameters follow from the free ones and are not read.
-    signals = problem.predict(problem.adopt(fit, values)).signals
-    with np.errstate(invalid="ignore"):
-        bounds = [(np.nanmin(each, axis=0), np.nanmax(each, axis=0)) for each in signals]
-    return dict(zip(problem.names, bounds, strict=True))
+    if ends:
+        values[:, [[record.name for record in fit.parameters].index(name) for name in names]] = ends
+    return values
 
 
 def write_report(
@@ -126,25 +118,28 @@ def write_report(
         if make_page is not None:
             return {"report": _write_map_page(path, make_page, options)}
     report = open_report(folder)
+    if options.compare is not None:
+        report = replace(report, beside=second_fit(report, options.compare))
     out = options.out if options.out is not None else report.folder / "report.html"
-    _check_targets(report, options, out)
+    _check_targets(options, out)
+    films = {path: report.film(options.drop) for path in options.films}
     if options.against is not None:
         tell(f"simulating the trials of {options.against} with the sets of {report.fit.name}")
         report = replace(report, against=predicted_fit(report.fit, options.against))
-    if options.compare is not None:
-        report = replace(report, beside=second_fit(report, options.compare))
     tell(f"simulating the ends of the intervals of {report.fit.name}")
     report = replace(report, known=reopened(report))
     tell(f"drawing the figures of {report.fit.name}")
-    write_file(out, report.page().encode("utf-8"), ExportError)
-    written = {"report": out}
+    written, files = {"report": out}, {out: report.page().encode("utf-8")}
     if options.figure is not None:
-        options.figure.mkdir(parents=True, exist_ok=True)
         for name, figure in report.figures().items():
-            written[f"figure/{name}"] = save_figure(figure, options.figure / f"{name}.pdf")
-    for path in options.films:
+            path = written[f"figure/{name}"] = options.figure / f"{name}.pdf"
+            files[path] = figure_bytes(figure, "pdf")
+        options.figure.mkdir(parents=True, exist_ok=True)
+    for path, film in films.items():
         tell(f"drawing {path}")
-        written[path.suffix[1:].lower()] = write_film(report.film(options.drop), path, force=options.force)
+        kind = path.suffix[1:].lower()
+        written[kind], files[path] = path, film_bytes(film, kind)
+    write_files(files, ExportError)
     return written
 
 
@@ -201,7 +196,7 @@ def _write_map_page(path: Path, make_page: Callable[[Path], str], options: Repor
     return out
 
 
-def _check_targets(report: FitReport, options: ReportOptions, out: Path) -> None:
+def _check_targets(options: ReportOptions, out: Path) -> None:
     if out.is_dir():
         raise ExportError(f"{out}: is a folder; name the page in it, such as {out / 'report.html'}")
     targets = [path.resolve() for path in (out, *options.films)]
@@ -221,6 +216,5 @@ def _check_targets(report: FitReport, options: ReportOptions, out: Path) -> None
     if options.drop is not None and not options.films:
         raise SysidError("--drop names the drop of a film; add --gif FILE or --mp4 FILE")
     if options.films:
-        report.film(options.drop)
         for path in options.films:
             check_film(path, options.force)
