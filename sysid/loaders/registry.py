@@ -25,6 +25,7 @@ from sysid.errors import LogError, SysidError
 from sysid.journal import notice
 from sysid.loaders.binary import bounded_time
 from sysid.loaders.columns import naming
+from sysid.loaders.isolation import isolated
 from sysid.loaders.options import DECLARED, Option
 from sysid.loaders.source import Source, one_line
 from sysid.recording import Recording
@@ -45,7 +46,9 @@ class LogFormat:
     `name` is what a user writes as ``format``, `describes` one line for lists. ``recognize(source)`` returns
     NO, POSSIBLE or CERTAIN from `Source.head` and raises nothing; ``read(source, **options)`` returns the
     recording. `takes` are the options of `sysid.loaders.options` that `read` takes, and the values among
-    which this format chooses (empty: any); without it, the keyword-only arguments of `read`.
+    which this format chooses (empty: any); without it, the keyword-only arguments of `read`. A `foreign`
+    format is read by a library that a damaged file may crash: in a child process, which imports the module of
+    `read` and takes the format from its ``FORMAT``.
     """
 
     name: str
@@ -53,6 +56,7 @@ class LogFormat:
     recognize: Callable[[Source], int]
     read: Callable[..., Recording]
     takes: Mapping[str, tuple[str, ...]] | None = None
+    foreign: bool = False
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -106,6 +110,7 @@ def family_format(
     recognize: Callable[[Source], int],
     parse: Callable[[Source, _Options], _Raw],
     takes: Mapping[str, tuple[str, ...]],
+    foreign: bool = False,
 ) -> LogFormat:
     """Return a format of a family, which makes a recording of what ``parse(source, options)`` returns."""
 
@@ -113,7 +118,7 @@ def family_format(
         return record(source, name, parse, options(**given))
 
     read.__module__ = parse.__module__
-    return LogFormat(name, describes, recognize, read, takes)
+    return LogFormat(name, describes, recognize, read, takes, foreign)
 
 
 def plug_in_options() -> set[str]:
@@ -213,6 +218,8 @@ def load(path: str | Path, *, format: str = "auto", **options: object) -> Record
             with naming(f"{source.path}: {name} = {value!r}"):
                 given[name] = parse_quantity(value, option.unit)
     try:
+        if chosen.foreign:
+            return isolated(chosen.read.__module__, source, given)
         # The warnings are of damaged numbers.
         with np.errstate(over="ignore", invalid="ignore"), bounded_time(source.path):
             return chosen.read(source, **given)

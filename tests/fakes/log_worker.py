@@ -124,9 +124,10 @@ def difference(whole, log, damaged):
 def main():
     """Answer requests, one JSON text a line."""
     import warnings
+    from unittest.mock import patch
 
     from sysid.errors import SysidError
-    from sysid.loaders import formats, load, registry, table
+    from sysid.loaders import formats, isolation, load, registry, table
 
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -157,7 +158,8 @@ def main():
         key = place.read_bytes()
         if key not in wholes:
             wholes.clear()
-            wholes[key] = load(place, format=form, **options)
+            with patch.object(registry, "isolated", isolation.read_here):
+                wholes[key] = load(place, format=form, **options)
         whole = wholes[key]
         what = difference(whole, log, asked["damaged"])
         new = set(log.provenance.notes) - set(whole.provenance.notes)

@@ -20,6 +20,10 @@ from sysid.loaders import load
 
 SETTINGS = examples(20)
 SEEDS = st.integers(0, 2**32 - 1)
+
+
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 # Unix seconds in double precision resolve 0.24 µs.
 STAMP = 5e-7
 

@@ -93,15 +93,21 @@ def bench(worker, tmp_path, name, seeds):
     assert not failed, "\n".join(failed)
 
 
-@pytest.mark.parametrize("name", [*LOGS, *BINARY])
+@pytest.mark.parametrize("name", [*LOGS, "load-cell-hdf5", "sysid-hdf5"])
 def test_damaged_logs(worker, tmp_path, name):
     bench(worker, tmp_path, name, [*range(QUICK), *FAILED.get(name, ())])
+
+
+@pytest.mark.parametrize("name", ["mat", "tdms", "c3d", "ros-mcap"])
+def test_damaged_foreign_logs(worker, tmp_path, name):
+    """One of each damage: every log starts a child process, half a second each."""
+    bench(worker, tmp_path, name, range(len(BINARY_DAMAGES)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*LOGS, *BINARY])
 def test_many_damaged_logs(worker, tmp_path, name):
-    bench(worker, tmp_path, name, range(QUICK, QUICK + MANY))
+    bench(worker, tmp_path, name, [*range(QUICK + MANY), *FAILED.get(name, ())])
 
 
 @pytest.mark.parametrize(

@@ -310,5 +310,5 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
 
 FORMAT = capture_format(
     "c3d", "C3D (markers, rotations, analog channels)", _recognize, _parse,
-    {"rigid_body": (), "bodies": (), "length_unit": ()},
+    {"rigid_body": (), "bodies": (), "length_unit": ()}, foreign=True,
 )  # fmt: skip

@@ -233,5 +233,6 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
 
 
 FORMAT = signal_format(
-    "mat", "MATLAB file 5 or 7.3 (variables by name, rate)", _recognize, _parse, SIGNAL_OPTIONS
-)
+    "mat", "MATLAB file 5 or 7.3 (variables by name, rate)", _recognize, _parse, SIGNAL_OPTIONS,
+    foreign=True,
+)  # fmt: skip

@@ -192,4 +192,5 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
 FORMAT = capture_format(
     "ros-bag", "ROS 1 bag, ROS 2 MCAP or SQLite (pose topics)", _recognize, _parse,
     {"topic": (), "rigid_body": (), "length_unit": (), "clock": ("header", "arrival"), "time_back": ()},
+    foreign=True,
 )  # fmt: skip

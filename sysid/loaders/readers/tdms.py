@@ -214,5 +214,6 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
 
 
 FORMAT = signal_format(
-    "tdms", "National Instruments TDMS (channels by name)", _recognize, _parse, SIGNAL_OPTIONS
-)
+    "tdms", "National Instruments TDMS (channels by name)", _recognize, _parse, SIGNAL_OPTIONS,
+    foreign=True,
+)  # fmt: skip

@@ -22,6 +22,8 @@ from sysid.errors import SysidError, UnitError
 from sysid.loaders import detect, load
 from sysid.loaders.rigid_pose import fit_rotations
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 CAL = """<?xml version="1.0" encoding="utf-8"?>
 <!-- NOTE: use UserAxis, not Axis -->
 <FTSensor Serial="FT00001" BodyStyle="Mini40" Family="DAQ" NumGages="6" CalFileVersion="1.1">

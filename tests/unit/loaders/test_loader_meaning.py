@@ -9,6 +9,8 @@ from sysid.errors import LogError, SysidError, UnitError
 from sysid.loaders import load
 from sysid.trials.look import inspect_recording
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 
 def test_a_unit_at_the_end_of_a_name_is_said(write):
     path = write("t_s,px_m,py_m,pz_m,qw,qx,qy,qz\n" + row_lines(5, "{t},1,2,3,1,0,0,0"))

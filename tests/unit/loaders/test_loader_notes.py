@@ -9,6 +9,8 @@ from fakes.log_files import c3d, hdf5, notes, refuses
 from sysid.errors import UnitError
 from sysid.loaders import load
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 NET = (
     "RDT Sample Rate: 100\nForce Units: N\nCounts per Unit Force: 10\nTorque Units: Nm\n"
     "Counts per Unit Torque: 10\nStatus (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time\n"

@@ -19,6 +19,8 @@ from sysid.storage import write_file
 from sysid.units import factor_to_si
 from sysid.workflows.inspect import inspect_files
 
+pytestmark = pytest.mark.usefixtures("in_this_process")
+
 COUNT = 300
 RAMP = np.linspace(0.0, 6.0, COUNT)
 
