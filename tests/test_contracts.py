@@ -31,7 +31,7 @@ ROOMS = (
     "loaders",
     "filters",
     "recording | parameters",
-    "storage resume units parallel documents exact_json",
+    "storage resume units parallel documents exact_json marks search_options",
     "journal",
     "errors | types | interrupt | shown",
 )

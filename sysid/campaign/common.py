@@ -22,6 +22,7 @@ from pydantic import (
 from sysid.errors import CampaignError, UnitError
 from sysid.loaders.options import quantity
 from sysid.parameters import ParameterTable, SearchSpace
+from sysid.search_options import CampaignSearch
 from sysid.units import parse_quantity
 
 TrialUse = Literal["fit", "validate"]
@@ -161,18 +162,8 @@ def _quantity_of(where: str, name: str, text: str, table: ParameterTable) -> flo
         return parse_quantity(text, unit)
 
 
-class FitTable(TomlTable):
-    """`[fit]`: the search; the search chooses an algorithm or a population that is not named."""
-
-    population: int | None = Field(default=None, ge=8, le=100_000)
-    runs: int = Field(default=5, ge=1, le=1000)
-    seed: int = Field(default=1, ge=0)
-    algorithm: Literal["ga", "matlab-ga", "cmaes", "de", "pso"] | None = None
-    finish: Literal["least-squares", "cmaes", "none"] = "least-squares"
-    stop_reading: Literal["relative", "matlab"] = "relative"
-    stop_window: int = Field(default=4, ge=1)
-    stop_tolerance: float = Field(default=1e-4, gt=0)
-    max_generations: int = Field(default=1000, ge=1)
+class FitTable(TomlTable, CampaignSearch):  # type: ignore[misc]
+    """`[fit]`: the search; pydantic checks the fields of the dataclass."""
 
 
 def _one_line(name: str) -> str:

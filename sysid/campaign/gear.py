@@ -151,7 +151,7 @@ class GearCost(CostTable):
     weights: GearWeights = GearWeights()
 
 
-class GearFitTable(FitTable):
+class GearFitTable(FitTable):  # type: ignore[misc]
     """`[fit]`: the search, and how exactly a drop is simulated in it."""
 
     tolerance: float | None = Field(default=None, ge=1e-7, le=1e-2)

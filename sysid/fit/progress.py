@@ -156,7 +156,7 @@ class FitProgress(LiveBlock):
             return max(1.0, sum(run.evaluations for run in self._ended.values()) / len(self._ended))
         if self._settings.finish == "least-squares":
             return _FAST_RUN
-        generations = min(_GENERATIONS, self._settings.stop.max_generations)
+        generations = min(_GENERATIONS, self._settings.max_generations)
         return float(self._settings.population * generations)
 
     def _left(self) -> float:
@@ -176,7 +176,7 @@ class FitProgress(LiveBlock):
         scored = sum(now.evaluations - self._before[run] for run, now in self._running.items())
         candidate = (time.perf_counter() - self._began) / scored if scored else self._candidate_time
         left = candidate * self._left()
-        limit = self._settings.stop.time_limit
+        limit = self._settings.time_limit
         bound = math.inf if limit is None else max(0.0, limit - (time.perf_counter() - self._started))
         if not left < bound:
             return "-" if bound == math.inf else f"< {_clock(bound)}"

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Required
+from typing import ClassVar, Required, get_type_hints
 
 from pydantic import with_config
 from typing_extensions import TypedDict
 
 from sysid.documents import CONFIG, Open, OpenMapping
 from sysid.fit.adequacy import Adequacy
-from sysid.fit.settings import Reading
 from sysid.fit.stopping import CutReason
 from sysid.parameter_sets import SetsDocument
+from sysid.search_options import SearchOptions
 
 
 @with_config(CONFIG)
@@ -25,25 +25,13 @@ class CampaignFile(TypedDict, total=False):
     text: str
 
 
-@with_config(CONFIG)
-class SearchRecord(TypedDict, total=False):
-    """How a fit searched; see `sysid.fit.search.SearchSettings`. `time_limit` in seconds."""
-
-    algorithm: str
-    finish: str
-    finish_population: int
-    population: int
-    runs: int
-    # Parameters along the axes of the runs' cube, in their order.
-    axes: list[str]
-    seed: int
-    run_seeds: list[int]
-    stop_reading: Reading
-    stop_window: int
-    stop_tolerance: float
-    max_generations: int
-    max_evaluations: int | None
-    time_limit: float | None
+# How a fit searched: every option, the seed of each run, the population of CMA-ES as a finisher [1], and the
+# parameters along the axes of the runs' cube, in their order.
+_SEARCH = {
+    **get_type_hints(SearchOptions), "run_seeds": list[int], "finish_population": int, "axes": list[str],
+}  # fmt: skip
+SearchRecord = TypedDict("SearchRecord", _SEARCH, total=False)  # type: ignore[misc]
+with_config(CONFIG)(SearchRecord)
 
 
 @with_config(CONFIG)

@@ -27,7 +27,7 @@ from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.least_squares import LeastSquares
 from sysid.fit.problem import Problem
-from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, StopReason
 from sysid.fit.trial import Evaluation, count_causes
 from sysid.types import FloatArray
@@ -35,16 +35,17 @@ from sysid.types import FloatArray
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
 # than a GA's: its window is cma's default of 10 + 30 n/P generations, its tolerance a tenth of the paper's.
 CMAES_TOLERANCE = 1e-5
-# Of half a generation; at the bottom of a valley it is 1e-5 to 1e-4, of a start anywhere 0.1 and above.
+# Stop CMA-ES only when the median cost lies within 1 % of the best; at the bottom of a valley this spread is
+# 1e-5 to 1e-4, at a random start 0.1 and above.
 CMAES_SPREAD = 0.01
-# Of a finisher; chosen by tests/benchmarks/engine.py.
+# Population of CMA-ES as a finisher; chosen by tests/benchmarks/engine.py.
 FINISH_POPULATION = 64
-# Of CMA-ES after least squares: the axes of the cost are known, so a small population has to learn no others;
-# and of a search of few parameters.
+# Population of CMA-ES after least squares, and of a search of few parameters: the axes of the cost are known,
+# so a small population has to learn no others.
 ROUGH_POPULATION = 16
 # Generations of the first stage that least squares needs to find its starts.
 FIRST_GENERATIONS = 3
-# What may be used of a budget until the end of each stage that another one may follow.
+# Cumulative share of the budget that each non-final stage may use [1], without and with least squares.
 _SHARES, _FAST_SHARES = (0.6,), (0.3, 0.5, 0.8)
 # Reasons that end a stage before its time: resumed, it starts again.
 _CUT = get_args(CutReason)
@@ -86,6 +87,7 @@ def run_one(
     time_limit: float | None = None,
     checkpoint: Checkpoint | None = None,
     hooks: Hooks = _NO_HOOKS,
+    first_generations: int | None = None,
 ) -> RunHistory:
     """Run one of the independent runs of a fit.
 
@@ -97,6 +99,9 @@ def run_one(
         Of this run, from now [s].
     checkpoint : Checkpoint, optional
         Its finished stages are taken as they are; those that finish now are kept there.
+    first_generations : int, optional
+        Generation limit of the first stage [1]; CMA-ES after it is a small one then. By default three before
+        least squares.
 
     Raises
     ------
@@ -105,7 +110,7 @@ def run_one(
     """
     if not objective.space.free:
         raise FitError("no parameter is free, so there is nothing to fit; name the free ones in the campaign")
-    return _Run(objective, settings, run, time_limit, checkpoint, hooks).history()
+    return _Run(objective, settings, run, time_limit, checkpoint, hooks, first_generations).history()
 
 
 @dataclass
@@ -116,6 +121,7 @@ class _Run:
     time_limit: float | None
     checkpoint: Checkpoint | None
     hooks: Hooks
+    first_generations: int | None
     started: float = field(default_factory=lambda: time.perf_counter())
     evaluations: int = 0
     simulations: int = 0
@@ -124,7 +130,7 @@ class _Run:
     best: StageHistory | None = None
 
     def history(self) -> RunHistory:
-        seed = self.settings.run_seeds()[self.run]
+        seed = run_seeds(self.settings)[self.run]
         n_free = len(self.objective.space.free)
         if self.checkpoint is not None:
             self.best = self.checkpoint.best(self.run, n_free)
@@ -146,13 +152,13 @@ class _Run:
                     population = 0
                     bred: Breeder = LeastSquares(self.objective, stages[-1].cube[-1], stages[-1].cost[-1])
                 else:
-                    small = self.settings.first_generations or (start is not None and start.axes is not None)
+                    small = self.first_generations or (start is not None and start.axes is not None)
                     finishing = ROUGH_POPULATION if small else FINISH_POPULATION
                     searching = name == self.settings.algorithm
                     population = self.settings.population if searching else finishing
                     own = seed if searching else _child_seed(seed, number)
                     bred = breeder(name, n_free, population, own, start)
-                stage = self._bred(name, bred, self._rule(name, number, population))
+                stage = self._bred(name, bred, self._limits(name, number, population))
                 start = bred.start()
                 if stage.stop_reason in _CUT:
                     cut = stage.stop_reason
@@ -171,28 +177,28 @@ class _Run:
             stages.append(replace(self.best, stop_reason=cut))
         return RunHistory(seed, tuple(stages))
 
-    def _rule(self, name: str, number: int, population: int) -> StopRule:
-        """Return the rule of a stage; of the run's budgets all stages but the last get a share."""
+    def _limits(self, name: str, number: int, population: int) -> SearchSettings:
+        """Return when a stage ends; of the run's budgets all stages but the last get a share."""
         fast = self.settings.finish == "least-squares"
         last = name == "cmaes" or len(self.settings.stages) == 1
         share = 1.0 if last else (_FAST_SHARES if fast else _SHARES)[number]
-        rule = replace(self.settings.stop.share(self.settings.runs), time_limit=None)
-        if rule.max_evaluations is not None:
-            rule = replace(rule, max_evaluations=int(share * rule.max_evaluations))
+        limits = replace(self.settings.of_a_run(), time_limit=None)
+        if limits.max_evaluations is not None:
+            limits = replace(limits, max_evaluations=int(share * limits.max_evaluations))
         if self.time_limit is not None:
-            rule = replace(rule, time_limit=share * self.time_limit)
+            limits = replace(limits, time_limit=share * self.time_limit)
         if name == "least-squares":
-            rule = replace(rule, tolerance=0.0)
+            limits = replace(limits, stop_tolerance=0.0)
         elif name == "cmaes":
             window = 10 + ceil(30 * len(self.objective.space.free) / population)
-            rule = replace(
-                rule, reading="relative", window=window, tolerance=CMAES_TOLERANCE, spread=CMAES_SPREAD
+            limits = replace(
+                limits, stop_reading="relative", stop_window=window, stop_tolerance=CMAES_TOLERANCE
             )
-        elif number == 0 and (first := self.settings.first_generations or FIRST_GENERATIONS * fast):
-            rule = replace(rule, max_generations=min(rule.max_generations, first))
-        return rule
+        elif number == 0 and (first := self.first_generations or FIRST_GENERATIONS * fast):
+            limits = replace(limits, max_generations=min(limits.max_generations, first))
+        return limits
 
-    def _bred(self, name: str, bred: Breeder, rule: StopRule) -> StageHistory:
+    def _bred(self, name: str, bred: Breeder, limits: SearchSettings) -> StageHistory:
         began, causes = time.perf_counter(), self.objective.causes
         evaluations_before, simulations_before = self.evaluations, self.simulations
         generations: list[Generation] = []
@@ -247,8 +253,9 @@ class _Run:
             if self.hooks.should_stop():
                 reason = "interrupted"
             else:
-                elapsed, spread = time.perf_counter() - self.started, _spread(scored.cost)
-                reason = rule.reason(best, self.evaluations, len(points), elapsed, spread)
+                elapsed = time.perf_counter() - self.started
+                settled = name != "cmaes" or _spread(scored.cost) <= CMAES_SPREAD
+                reason = limits.stop_reason(best, self.evaluations, len(points), elapsed, settled)
             if self.checkpoint is not None and self.best is not None:
                 self.checkpoint.keep_best(self.run, self.best, now=reason is not None)
         if not generations:
@@ -260,6 +267,12 @@ def _spread(cost: FloatArray) -> float:
     """Return how far the median lies above the lowest, as a share of that [1]."""
     low, middle = float(cost.min()), float(np.median(cost))
     return (middle - low) / low if low > 0 else float("inf") if middle > low else 0.0
+
+
+def run_seeds(settings: SearchSettings) -> tuple[int, ...]:
+    """Return the seed of every run; more runs keep the first ones."""
+    children = np.random.SeedSequence(settings.seed).spawn(settings.runs)
+    return tuple(int(child.generate_state(1, np.uint32)[0]) for child in children)
 
 
 def _child_seed(seed: int, stage: int) -> int:
@@ -319,7 +332,7 @@ def run_many(
     def search_run(run: int) -> RunHistory | None:
         if run and stop() and not (checkpoint is not None and checkpoint.begun(run)):
             return None
-        limit = settings.stop.time_limit
+        limit = settings.time_limit
         if limit is not None:
             rounds = ceil((settings.runs - run) / at_once)
             limit = max(0.0, limit - (time.perf_counter() - started)) / rounds

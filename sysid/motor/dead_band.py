@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from sysid.campaign import MotorCampaign
 from sysid.errors import CampaignError
-from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM
 from sysid.fit.search import Hooks, run_one
 from sysid.fit.settings import SearchSettings
 from sysid.motor.known_values import SATURATION, Bench
@@ -26,6 +25,7 @@ from sysid.motor.model import PARAMETERS, simulate, unpack
 from sysid.motor.problem import MotorProblem
 from sysid.motor.targets import filtered
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from sysid.search_options import DEFAULT_ALGORITHM
 from sysid.trials.bench_log import CommandSteps
 from sysid.trials.reversal import find_reversals
 from sysid.trust.profiles import ends
@@ -91,9 +91,10 @@ def fit_saturation(
     campaign, bench, table = problem.campaign, problem.bench, problem.space.table
     trials = bench.banded
     spaces = [saturation_space(campaign, bench, table, unpack(row, table)) for row in rows]
-    stop = replace(settings.stop, time_limit=None, max_evaluations=None)
+    settings = replace(settings, time_limit=None, max_evaluations=None)
+    first_generations = None
     if settings.finish == "least-squares":
-        settings = replace(settings, finish="cmaes", first_generations=_GENERATIONS)
+        settings, first_generations = replace(settings, finish="cmaes"), _GENERATIONS
     if settings.algorithm == "cmaes":
         settings = replace(settings, algorithm=DEFAULT_ALGORITHM, finish="cmaes")
     values, costs, without, flags, count = [], [], [], [], 0
@@ -104,8 +105,9 @@ def fit_saturation(
         probes = objective.evaluate(np.random.default_rng(seed).random((_PROBES, len(space.free)))).cost
         if np.ptp(probes) <= _FELT * probes.min():
             return None
-        one_run = replace(settings, population=_POPULATION, runs=1, seed=seed, stop=stop)
-        run = run_one(objective, one_run, hooks=Hooks(should_stop=should_stop))
+        one_run = replace(settings, population=_POPULATION, runs=1, seed=seed)
+        hooks = Hooks(should_stop=should_stop)
+        run = run_one(objective, one_run, hooks=hooks, first_generations=first_generations)
         values.append(space.decode(run.best_point))
         flags.append(space.at_bound(run.best_point))
         costs.append(float(run.best[-1]))

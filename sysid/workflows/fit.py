@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from sysid.campaign import FitTable
 from sysid.errors import FitError, SysidError
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_finding
-from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
 from sysid.fit.kind import Course, FitOutcome
@@ -26,7 +24,7 @@ from sysid.fit.problem import Problem, scored_by
 from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult, bound_findings, ranked_sets
 from sysid.fit.search import Hooks, run_many
-from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, Deadline, StopFlag, stop_on_interrupt
 from sysid.fit.store import check_new_fit, fit_texts, write_fit
 from sysid.fit.story import Story
@@ -46,30 +44,6 @@ from sysid.workflows.trust import assess_opened
 _RUNS_AT_ONCE = 8
 # Candidates that are scored to recognise an objective.
 _PROBES = 4
-
-
-def search_settings(options: FitOptions, table: FitTable) -> SearchSettings:
-    """Return the campaign's search settings with the command's overrides."""
-    runs, seed, max_generations = (
-        int(getattr(table, name) if getattr(options, name) is None else getattr(options, name))
-        for name in ("runs", "seed", "max_generations")
-    )
-    algorithm = options.algorithm or table.algorithm or DEFAULT_ALGORITHM
-    return SearchSettings(
-        population=options.population or table.population or POPULATION[algorithm],
-        runs=runs,
-        seed=seed,
-        algorithm=algorithm,
-        finish=options.finish or table.finish,
-        stop=StopRule(
-            reading=table.stop_reading,
-            window=table.stop_window,
-            tolerance=table.stop_tolerance,
-            max_generations=max_generations,
-            max_evaluations=options.max_evaluations,
-            time_limit=options.time_limit,
-        ),
-    )
 
 
 def fit_gear(
@@ -107,8 +81,8 @@ def fit_campaign(
     """
     path, options = Path(path), options or FitOptions()
     model, campaign, ignored = open_campaign(path, kind, law=law)
-    folder, search = options.folder(campaign.name), search_settings(options, campaign.fit)
-    deadline = Deadline(options.time_limit)
+    folder, search = options.folder(campaign.name), options.search(campaign.fit)
+    deadline = Deadline(search.time_limit)
     if options.resume and options.force:
         raise FitError("--resume continues a fit and --force discards it; choose one")
     # Before the hours of a fit are spent.
@@ -131,7 +105,7 @@ def fit_campaign(
             fitted = problem.fitted
             with journal.blaming():
                 expected = _expected(fitted) if options.check else {}
-            limited = replace(search, stop=replace(search.stop, time_limit=deadline.left))
+            limited = replace(search, time_limit=deadline.left)
             identity, candidate_time = _identity(search, story, fitted)
             checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
             until_done.callback(checkpoint.close)

@@ -1,22 +1,25 @@
 """Options of the commands: what each one takes, declared once for the command line and for Python.
 
 `sysid.marks` says how a field is declared, and `sysid.cli.adapter` builds the commands from it. What belongs
-to landings themselves is declared with them (`sysid.landing.settings`, `sysid.landing.outcomes`). The module
-imports nothing heavy.
+to landings or to a search is declared with them (`sysid.landing.settings`, `sysid.landing.outcomes`,
+`sysid.search_options`). The module imports nothing heavy.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, TypeVar, get_args
 
 from sysid.errors import CampaignError, ExportError, LogError
+from sysid.fit.settings import SearchSettings
 from sysid.journal import notice
 from sysid.landing.outcomes import Rules
 from sysid.landing.settings import Drift, ImpulseSettings, MapSettings, Pitch, Scenario, StudySettings
-from sysid.marks import Argument, Flag, seconds
+from sysid.marks import Argument, Flag, field_hints, mark_of
+from sysid.search_options import CampaignSearch, SearchOptions
 
 # Suffixes of files in a log folder that are not logs.
 _NO_LOGS = {".toml", ".json", ".md", ".html", ".pdf", ".png", ".svg", ".py", ".cal"}
@@ -61,7 +64,7 @@ def log_files(paths: tuple[Path, ...]) -> tuple[Path, ...]:
     return tuple(out)
 
 
-_OUTPUT, _COMPUTING, _SEARCH = "Output", "Computing", "Search"
+_OUTPUT, _COMPUTING = "Output", "Computing"
 CampaignPath = Annotated[Path, Argument("Campaign file (TOML), or the folder that holds it.", campaign_file)]
 Logs = Annotated[tuple[Path, ...], Argument("Logs, or folders of logs.", log_files)]
 FitFolder = Annotated[Path, Argument("Fit folder, or its fit.h5.")]
@@ -92,9 +95,25 @@ LogFormat = Annotated[str, Flag("Read the log as this format. By default the con
 LoaderOption = Annotated[tuple[str, ...], Flag("Loader option, for example rate=10000.", "--option", "-o")]
 
 
+Options = TypeVar("Options")
+
+
+def _overriding(settings: type) -> Callable[[type[Options]], type[Options]]:
+    """Return a decorator: a class takes every flag of `settings`, None where the user leaves it out."""
+
+    def extended(cls: type[Options]) -> type[Options]:
+        for name, hint in field_hints(settings).items():
+            cls.__annotations__[name] = Annotated[get_args(hint)[0] | None, mark_of(hint)]
+            setattr(cls, name, None)
+        return cls
+
+    return extended
+
+
 @dataclass(frozen=True)
+@_overriding(SearchOptions)
 class FitOptions:
-    """What a user may state about a fit; it overrides the campaign's `[fit]`.
+    """What a user may state about a fit; options of the search override the campaign's `[fit]`.
 
     `time_limit` [s] counts from the reading of the campaign on. On a Dask cluster every worker process uses
     one core.
@@ -104,44 +123,11 @@ class FitOptions:
         Path | None, Flag("Write the result to this folder.", default="fits/NAME", panel=_OUTPUT)
     ] = None
     force: Force = False
-    population: Annotated[
-        int | None, Flag("Individuals per generation.", least=8, default="the algorithm's", panel=_SEARCH)
-    ] = None
-    runs: Annotated[
-        int | None, Flag("Number of independent runs.", least=1, default="the campaign's", panel=_SEARCH)
-    ] = None
-    seed: Annotated[
-        int | None, Flag("Seed of the random numbers.", least=0, default="the campaign's", panel=_SEARCH)
-    ] = None
-    max_generations: Annotated[
-        int | None,
-        Flag("End every run after this many generations.", least=1, default="the campaign's", panel=_SEARCH),
-    ] = None
-    time_limit: Annotated[
-        float | None,
-        Flag("End the fit after this time, as in 20min, and keep its result.", read=seconds, panel=_SEARCH),
-    ] = None
     threads: Threads = None
     quiet: Quiet = False
-    algorithm: Annotated[
-        Literal["ga", "matlab-ga", "cmaes", "de", "pso"] | None,
-        Flag("Search algorithm.", default="the campaign's", panel=_SEARCH),
-    ] = None
-    finish: Annotated[
-        Literal["least-squares", "cmaes", "none"] | None,
-        Flag(
-            "Let this follow every run. 'none' is the paper's method.",
-            default="the campaign's",
-            panel=_SEARCH,
-        ),
-    ] = None
-    max_evaluations: Annotated[
-        int | None, Flag("End the fit after this many candidates.", least=1, panel=_SEARCH)
-    ] = None
     resume: Resume = False
     dask: Dask = None
     check: Annotated[bool, Flag("First say what the trials should determine.", "--check/--no-check")] = True
-
     trust: Annotated[
         bool, Flag("Last find the interval of every parameter, as sysid trust does.", "--trust/--no-trust")
     ] = True
@@ -153,6 +139,14 @@ class FitOptions:
     def folder(self, name: str) -> Path:
         """Return where a fit called `name` goes."""
         return self.out if self.out is not None else Path("fits") / name
+
+    def search(self, table: CampaignSearch) -> SearchSettings:
+        """Return the campaign's search settings with those that the user states instead."""
+        stated = {name: getattr(self, name) for name in field_hints(SearchOptions)}
+        return SearchSettings(**{
+            **{field.name: getattr(table, field.name) for field in fields(CampaignSearch)},
+            **{name: value for name, value in stated.items() if value is not None},
+        })  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Any
 from sysid import __version__, exact_json
 from sysid.campaign.common import CampaignSource
 from sysid.fit.provenance import CampaignFile
-from sysid.fit.search import FINISH_POPULATION
+from sysid.fit.search import FINISH_POPULATION, run_seeds
 from sysid.fit.settings import SearchSettings
 from sysid.fit.story import Story
 
@@ -24,25 +24,19 @@ _LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
 def fit_identity(settings: SearchSettings, story: Story) -> dict[str, Any]:
     """Return what must be equal for a fit to be continued; see `sysid.resume.BlockStore`.
 
-    The story is of all trials. More runs, or another time limit, do not hinder.
+    The story is of all trials.
     """
     problem, space = story.problem, story.problem.space
     rows = [[str(value) for value in vars(row).values()] for row in (*space.table.values(), *space.free)]
     table = exact_json.dumps([rows, dict(space.fixed)], indent=None)
-    stop = settings.stop.share(settings.runs)
     return {
         "campaign_file": problem.campaign.source.sha256,
         **{f"log {name}": digest for name, digest in story.hashes.items()},
         "parameter_table": hashlib.sha256(table.encode()).hexdigest(),
         "version_of_sysid": __version__,
-        "algorithm": settings.algorithm,
-        "finisher": settings.finish,
-        "population": settings.population,
-        "seed": settings.seed,
-        "stop_rule": [stop.reading, stop.window, stop.tolerance, stop.max_generations],
-        "evaluation_budget_of_a_run": stop.max_evaluations,
+        **{f"option_{name}": value for name, value in settings.continued_by().items()},
         **story.accuracy,
-    }  # fmt: skip
+    }
 
 
 def provenance(settings: SearchSettings, story: Story, folder: Path) -> dict[str, Any]:
@@ -50,7 +44,7 @@ def provenance(settings: SearchSettings, story: Story, folder: Path) -> dict[str
 
     The story is of all trials; the campaign's path is stored as seen from the folder of the fit.
     """
-    stop, problem = settings.stop, story.problem
+    problem = story.problem
     source = problem.campaign.source
     return {
         "sysid": __version__,
@@ -66,15 +60,10 @@ def provenance(settings: SearchSettings, story: Story, folder: Path) -> dict[str
         "filter": dict(story.filters),
         "nrmse_denominator": problem.campaign.cost.denominator,
         "search": {
-            **{
-                name: getattr(settings, name)
-                for name in ("algorithm", "finish", "population", "runs", "seed")
-            },
-            **{f"stop_{name}": getattr(stop, name) for name in ("reading", "window", "tolerance")},
-            **{name: getattr(stop, name) for name in ("max_generations", "max_evaluations", "time_limit")},
+            **vars(settings),
+            "run_seeds": list(run_seeds(settings)),
             "finish_population": FINISH_POPULATION,
             "axes": list(problem.space.names),
-            "run_seeds": list(settings.run_seeds()),
         },
     }
 

@@ -26,7 +26,7 @@ import campaigns
 from paired import write_json
 from sysid.fit.problem import scored_by
 from sysid.fit.search import run_many, run_one
-from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.settings import SearchSettings
 from sysid.parallel import DaskCluster, LocalThreads
 
 
@@ -46,9 +46,7 @@ def finishers(arguments, folder):
         floor = sum(block.weight * block.noise for block in objective.blocks)
         runs = {}
         for finish in ("least-squares", "cmaes"):
-            run_one(
-                objective, SearchSettings(16, 1, 99, StopRule(max_generations=2), finish=finish)
-            )  # imports
+            run_one(objective, SearchSettings(16, 1, 99, 2, finish=finish))  # imports
             for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
                 began = time.process_time()
                 run = run_one(objective, SearchSettings(runs=1, seed=seed, finish=finish))
@@ -89,7 +87,7 @@ def workers(arguments, folder):
     """
     import distributed
 
-    settings = SearchSettings(seed=1, stop=StopRule(max_generations=arguments.generations), finish="none")
+    settings = SearchSettings(seed=1, max_generations=arguments.generations, finish="none")
     everywhere = os.sched_getaffinity(0)
     spent = {way: {1: [], 2: []} for way in ("processes", "threads")}
     got = {1: [], 2: []}

@@ -3,11 +3,11 @@
 import numpy as np
 
 from sysid.fit.search import run_one
-from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.settings import SearchSettings
 from sysid.fit.trial import UNNAMED_CAUSE, Block, Evaluation, Trial
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 
-SHORT = StopRule(max_generations=12)
+SHORT = {"max_generations": 12}
 
 
 def table(n=3):
@@ -37,10 +37,9 @@ class Bowl:
         return Evaluation(np.where(failed, 15.0, 0.01 + distance), failed, self.trials * len(cube))
 
 
-def run_genetic(objective, *, population, seed, stop, algorithm="ga", finish="none", **more):
-    """One run of one stage; `seed` is the fit's."""
-    settings = SearchSettings(population, 1, seed, stop, algorithm, finish)
-    return run_one(objective, settings, **more)
+def run_genetic(objective, *, finish="none", **search):
+    """One run of one stage; the seed is the fit's."""
+    return run_one(objective, SearchSettings(runs=1, finish=finish, **search))
 
 
 def assert_same_run(a, b):

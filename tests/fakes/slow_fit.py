@@ -5,10 +5,9 @@ import time
 
 from fakes.bowl import Bowl
 from sysid.fit import checkpoint, search
-from sysid.fit.settings import StopRule
 
 IDENTITY = {"campaign_file": "ab" * 32, "population": 40, "log drop-1": "cd" * 32}
-SETTINGS = search.SearchSettings(40, 3, 5, StopRule(max_generations=14), "ga", "cmaes")
+SETTINGS = search.SearchSettings(40, 3, 5, 14, "ga", "cmaes")
 
 
 class Paced(Bowl):

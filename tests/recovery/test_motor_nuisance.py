@@ -14,7 +14,7 @@ from sysid.errors import CampaignError, FitError, LogError
 from sysid.fit.kind import Course
 from sysid.fit.result import ranked_sets
 from sysid.fit.search import run_one
-from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.settings import SearchSettings
 from sysid.journal import Journal
 from sysid.motor.dead_band import fit_saturation
 from sysid.motor.follow_up import follow_up, log_delays
@@ -30,7 +30,7 @@ from sysid.workflows.show import print_sets
 
 TRUTH = {**PARAMETERS.nominal, **TRUE_MOTOR}
 # CMA-ES ends in the one optimum of these short logs; a default algorithm may change.
-SEARCH = SearchSettings(32, 1, 1, StopRule(), "cmaes", "none")
+SEARCH = SearchSettings(32, 1, 1, algorithm="cmaes", finish="none")
 SHORT = (
     TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80, 0.50, 0.95), 0.45, "csv"),
     TrialPlan("reverse-1", "reverse", "fit", -0.25, (-0.60, -0.35, -0.90), 0.45, "hdf5"),
@@ -296,7 +296,7 @@ def test_bounds_of_either_stage_do_not_hinder_the_other(tmp_path: Path) -> None:
     problem = problem_of(campaign, bench)
     assert (problem.space.free[0].lower, problem.space.free[0].upper) == (0.1, 1.0)
     row = np.array([[TRUTH.get(name, 0.008) for name in problem.space.table]])
-    few = replace(SEARCH, stop=StopRule(max_generations=2))
+    few = replace(SEARCH, max_generations=2)
     band = fit_saturation(problem, row, few, (1,))
     assert band is not None
     assert [(r.lower, r.upper) for r in band.free[1:2]] == [(1.0, 50.0)]
@@ -356,7 +356,7 @@ def test_an_interrupted_fit_says_what_it_has_not_looked_at(forward: Path) -> Non
     with pytest.warns(UserWarning, match="determine only k²/R"):
         read, bench = bench_of(path)
     problem = problem_of(read, bench)
-    run = run_one(problem.fitted, SearchSettings(8, 1, 1, StopRule(max_generations=1), "cmaes", "none"))
+    run = run_one(problem.fitted, SearchSettings(8, 1, 1, 1, "cmaes", "none"))
     runs = (replace(run, stages=(replace(run.stages[-1], stop_reason="interrupted"),)),)
     with Journal() as journal:
         after = follow_up(problem, Course(ranked_sets(runs, problem.space), None, "interrupted", bool))

@@ -15,24 +15,8 @@ import numpy as np
 
 from sysid.errors import FitError
 from sysid.fit.breeders.breeder import RANDOM_SPREAD, Breeder, Start
+from sysid.search_options import ALGORITHMS
 from sysid.types import FloatArray
-
-# Name in campaigns and on the command line: what it is.
-ALGORITHMS: dict[str, str] = {
-    "ga": "pymoo GA: tournament selection, simulated binary crossover, polynomial mutation",
-    "matlab-ga": (
-        "MATLAB's ga: stochastic uniform selection on ranks, 5 % elites, scattered crossover 0.8, "
-        "shrinking Gaussian mutation clipped to the bounds"
-    ),
-    "cmaes": "CMA-ES (cma)",
-    "de": "pymoo differential evolution best/1/bin",
-    "pso": "pymoo particle swarm, adaptive",
-}
-
-# What a fit uses that names no algorithm, and the population of each where none is named. Chosen by
-# tests/benchmarks/engine.py; the paper's own population is 200 for a motor and 400 to 800 for a gear.
-DEFAULT_ALGORITHM = "ga"
-POPULATION = {"ga": 100, "matlab-ga": 400, "cmaes": 64, "de": 100, "pso": 100}
 
 # What pymoo calls the values of a scored individual.
 _SCORED = ("F", "G", "H")
@@ -81,7 +65,9 @@ def breeder(name: str, n_free: int, population: int, seed: int, start: Start | N
     Parameters
     ----------
     name : str
-        A key of `ALGORITHMS`; FitError for another.
+        ``ga`` is pymoo's GA (tournament selection, simulated binary crossover, polynomial mutation), ``de``
+        its differential evolution best/1/bin, ``pso`` its adaptive particle swarm; ``matlab-ga`` is
+        `sysid.fit.breeders.matlab_genetic` and ``cmaes`` cma's CMA-ES. FitError for another.
     start : Start, optional
         Where CMA-ES begins; anywhere by default. Other algorithms begin anywhere.
     """

@@ -17,13 +17,13 @@ from fakes.places import SAMPLES
 from fakes.slow_fit import IDENTITY, SETTINGS
 from sysid.errors import FitError
 from sysid.fit import checkpoint as checkpoint_module
-from sysid.fit.breeders.algorithms import ALGORITHMS
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint, glance
 from sysid.fit.search import Hooks, run_many
-from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import StopFlag
 from sysid.fit.store import read_fit
 from sysid.resume import BlockStore
+from sysid.search_options import ALGORITHMS
 
 # Populations of a run of `SETTINGS`: a stage of the GA, then one of CMA-ES.
 STAGE = 14
@@ -71,7 +71,7 @@ def test_resume_is_bit_identical_and_computes_one_stage_again(tmp_path, whole, c
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_every_algorithm_goes_on_from_its_finished_stages(tmp_path, algorithm):
-    settings = SearchSettings(40, 1, 5, StopRule(max_generations=14), algorithm, "cmaes")
+    settings = SearchSettings(40, 1, 5, 14, algorithm, "cmaes")
     whole = run_many(Bowl(), settings)
     for cut in sorted({1, 5, 15, len(whole[0].best)}):
         interrupted(tmp_path / "fit", cut, settings=settings)
@@ -89,10 +89,10 @@ def test_what_follows_least_squares_starts_along_its_axes_again(tmp_path, rough)
 
 
 def test_a_stage_after_one_that_the_clock_has_cut_is_not_kept(tmp_path):
-    settings = SearchSettings(40, 1, 5, StopRule(max_generations=14, time_limit=0.0), "ga", "cmaes")
+    settings = SearchSettings(40, 1, 5, 14, "ga", "cmaes", time_limit=0.0)
     (cut,), _ = run_all(tmp_path / "fit", settings=settings, done=False)
     assert [(stage.stop_reason, len(stage.cost)) for stage in cut.stages] == [("time", 1), ("time", 1)]
-    unlimited = replace(settings, stop=StopRule(max_generations=14))
+    unlimited = replace(settings, time_limit=None)
     found, _ = run_all(tmp_path / "fit", settings=unlimited, resume=True)
     assert_same(found, run_many(Bowl(), unlimited))
 

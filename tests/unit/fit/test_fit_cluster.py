@@ -20,14 +20,14 @@ from sysid.errors import SysidError
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.problem import scored_by
 from sysid.fit.search import Hooks, run_many
-from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.settings import SearchSettings
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import GearProblem, gear_space
 from sysid.journal import Journal
 from sysid.parallel import ClosedError, ClusterError, DaskCluster, LocalThreads, chunk_size, executor
 
 HERE = str(Path(__file__).parent)
-SETTINGS = SearchSettings(40, 3, 5, StopRule(max_generations=10), "ga", "cmaes")
+SETTINGS = SearchSettings(40, 3, 5, 10, "ga", "cmaes")
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +178,7 @@ def test_local_workers_listen_on_this_machine_only():
 
 @pytest.mark.slow
 def test_three_workers_give_the_local_numbers_and_one_may_be_killed(tmp_path, gear):
-    short = replace(SETTINGS, stop=StopRule(max_generations=5))
+    short = replace(SETTINGS, max_generations=5)
     local = run_many(gear, short)
     with cluster(tmp_path, 3) as (where, processes):
         spread = scored_by(gear, where)

@@ -11,14 +11,15 @@ import pytest
 
 from fakes.bowl import SHORT, Bowl, Decay, assert_same_run, run_genetic, table
 from sysid.errors import FitError
-from sysid.fit.breeders.algorithms import ALGORITHMS, Start, breeder
+from sysid.fit.breeders.algorithms import Start, breeder
 from sysid.fit.result import bound_findings, ranked_sets
-from sysid.fit.search import Hooks, run_many, run_one
-from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.search import Hooks, run_many, run_one, run_seeds
+from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import StopFlag
 from sysid.fit.trial import Evaluation
 from sysid.parameter_sets import parameter_records
 from sysid.parameters import SearchSpace
+from sysid.search_options import ALGORITHMS
 
 PAPER = {"algorithm": "ga", "finish": "none"}
 
@@ -35,8 +36,8 @@ class Torn(Bowl):
 
 
 def test_failures_are_counted_by_cause():
-    torn = run_genetic(Torn(), population=40, seed=1, stop=SHORT)
-    plain = run_genetic(Bowl(), population=40, seed=1, stop=SHORT)
+    torn = run_genetic(Torn(), population=40, seed=1, **SHORT)
+    plain = run_genetic(Bowl(), population=40, seed=1, **SHORT)
     np.testing.assert_array_equal(torn.failed, plain.failed)
     assert set(torn.failures) == {"fell over", "ran away"}
     assert sum(torn.failures.values()) == torn.failed.sum()
@@ -45,7 +46,7 @@ def test_failures_are_counted_by_cause():
 
 
 def test_history_is_complete_and_sorted():
-    run = run_genetic(Bowl(), population=40, seed=3, stop=SHORT)
+    run = run_genetic(Bowl(), population=40, seed=3, **SHORT)
     assert run.stages[0].cube.shape == (12, 40, 3)
     assert run.stages[0].cost.shape == (12, 40)
     assert run.failed.shape == (12,)
@@ -60,19 +61,19 @@ def test_history_is_complete_and_sorted():
 
 
 def test_same_seed_same_numbers_other_seed_other_numbers():
-    settings = SearchSettings(population=40, runs=2, seed=5, stop=SHORT, **PAPER)
+    settings = SearchSettings(population=40, runs=2, seed=5, **SHORT, **PAPER)
     first, second = run_many(Bowl(), settings), run_many(Bowl(), settings)
     for a, b in zip(first, second, strict=True):
         np.testing.assert_array_equal(a.stages[0].cube, b.stages[0].cube)
         np.testing.assert_array_equal(a.stages[0].cost, b.stages[0].cost)
-    other = run_many(Bowl(), SearchSettings(population=40, runs=2, seed=6, stop=SHORT, **PAPER))
+    other = run_many(Bowl(), SearchSettings(population=40, runs=2, seed=6, **SHORT, **PAPER))
     assert not np.array_equal(first[0].stages[0].cube, other[0].stages[0].cube)
     assert not np.array_equal(first[0].stages[0].cube, first[1].stages[0].cube)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_neither_numpys_global_state_nor_interleaved_runs_disturb(algorithm):
-    options = {"population": 40, "seed": 9, "stop": SHORT, "algorithm": algorithm}
+    options = {"population": 40, "seed": 9, **SHORT, "algorithm": algorithm}
     alone = run_genetic(Bowl(), **options)
     state = np.random.get_state()[1].copy()  # noqa: NPY002  the generator that must stay untouched
     run_genetic(Bowl(), **options)
@@ -82,9 +83,7 @@ def test_neither_numpys_global_state_nor_interleaved_runs_disturb(algorithm):
         def evaluate(self, cube):
             np.random.seed(self.calls)  # noqa: NPY002  what a careless library would do
             if self.calls == 3:
-                run_genetic(
-                    Bowl(), population=30, seed=1, stop=StopRule(max_generations=2), algorithm=algorithm
-                )
+                run_genetic(Bowl(), population=30, seed=1, max_generations=2, algorithm=algorithm)
             return super().evaluate(cube)
 
     np.testing.assert_array_equal(run_genetic(Noisy(), **options).stages[0].cube, alone.stages[0].cube)
@@ -97,8 +96,8 @@ def test_every_algorithm_stays_in_the_cube_and_improves(algorithm):
             assert np.all((cube >= 0) & (cube <= 1))
             return super().evaluate(cube)
 
-    stop = StopRule(tolerance=1e-9, max_generations=60)
-    run = run_genetic(Watched(), population=60, seed=1, stop=stop, algorithm=algorithm)
+    stop = {"stop_tolerance": 1e-9, "max_generations": 60}
+    run = run_genetic(Watched(), population=60, seed=1, algorithm=algorithm, **stop)
     # 3600 candidates in three dimensions: MATLAB's mutation is still at 80 % of its scale, others are near.
     assert run.best[-1] - 0.01 < (0.02 if algorithm == "matlab-ga" else 1e-3)
     assert run.stages[0].cube.shape[1:] == (60, 3)
@@ -107,8 +106,7 @@ def test_every_algorithm_stays_in_the_cube_and_improves(algorithm):
 
 
 def test_matlab_ga_keeps_its_elites_and_scores_only_children():
-    stop = StopRule(max_generations=12, tolerance=0)
-    run = run_genetic(Bowl(), population=40, seed=1, stop=stop, algorithm="matlab-ga")
+    run = run_genetic(Bowl(), population=40, seed=1, algorithm="matlab-ga", stop_tolerance=0, **SHORT)
     # ceil(0.05 * 40) = 2 elites are not scored again.
     assert run.evaluations == 40 + 11 * 38
     for before, after in zip(run.stages[0].cube[:-1], run.stages[0].cube[1:], strict=True):
@@ -140,10 +138,10 @@ def test_matlab_ga_breeds_as_documented():
 
 
 def test_finisher_starts_from_mean_and_spread_and_reaches_the_bottom():
-    settings = SearchSettings(population=40, runs=1, seed=3, stop=SHORT, algorithm="ga", finish="cmaes")
+    settings = SearchSettings(population=40, runs=1, seed=3, **SHORT, algorithm="ga", finish="cmaes")
     assert settings.stages == ("ga", "cmaes")
     assert SearchSettings(algorithm="cmaes").stages == ("cmaes",)
-    short = replace(settings, stop=replace(SHORT, max_generations=200))
+    short = replace(settings, max_generations=200)
     run = run_one(Bowl(), short)
     first, second = run.stages
     assert (first.algorithm, second.algorithm) == ("ga", "cmaes")
@@ -199,7 +197,7 @@ def test_least_squares_leaves_fronts_that_fail_and_bounds_that_hold():
             residuals[:] = np.nan
             return Evaluation(np.full(len(cube), 15.0), np.ones(len(cube), bool), len(cube)), residuals
 
-    run = run_one(Fails(), SearchSettings(population=16, runs=1, seed=1, stop=StopRule(max_generations=30)))
+    run = run_one(Fails(), SearchSettings(population=16, runs=1, seed=1, max_generations=30))
     assert [stage.algorithm for stage in run.stages] == ["ga", "least-squares", "ga", "cmaes"]
     assert run.stages[1].stop_reason == "unexplained"
     assert run.best[-1] == 15.0
@@ -220,7 +218,7 @@ def test_a_wrong_model_is_searched_as_if_least_squares_had_not_been_tried():
 
 
 def test_runs_at_once_give_the_same_numbers():
-    settings = SearchSettings(40, 5, 5, StopRule(max_generations=14), "ga", "cmaes")
+    settings = SearchSettings(40, 5, 5, 14, "ga", "cmaes")
     for a, b in zip(run_many(Bowl(), settings), run_many(Bowl(), settings, at_once=3), strict=True):
         assert_same_run(a, b)
 
@@ -236,40 +234,40 @@ def test_runs_at_once_give_the_same_numbers():
 
 
 def test_budgets_are_shared_between_search_and_finisher():
-    stop = StopRule(max_generations=500, tolerance=0, max_evaluations=2000)
-    run = run_one(Bowl(), SearchSettings(40, 1, 5, stop, "ga", "cmaes"))
+    endless = SearchSettings(40, 1, 5, 1000, "ga", "cmaes", stop_tolerance=0)
+    run = run_one(Bowl(), replace(endless, max_evaluations=2000))
     assert run.stages[0].stop_reason == "evaluations"
     assert run.stages[0].evaluations == 1200
     assert 1200 < run.evaluations <= 2000
-    timed = run_one(Bowl(), SearchSettings(40, 1, 5, StopRule(tolerance=0), "ga", "cmaes"), time_limit=0.5)
+    timed = run_one(Bowl(), endless, time_limit=0.5)
     assert timed.stages[0].stop_reason == "time"
     # A generation here takes a few milliseconds; half a second is left for a loaded machine.
     assert timed.wall_time < 1.0
 
 
 def test_a_run_is_reproducible_without_those_before_it():
-    settings = SearchSettings(population=40, runs=3, seed=5, stop=SHORT, **PAPER)
+    settings = SearchSettings(population=40, runs=3, seed=5, **SHORT, **PAPER)
     together = run_many(Bowl(), settings)
-    assert settings.run_seeds() == tuple(run.seed for run in together)
+    assert run_seeds(settings) == tuple(run.seed for run in together)
     alone = run_one(Bowl(), settings, 2)
     np.testing.assert_array_equal(alone.stages[0].cube, together[2].stages[0].cube)
     # More runs on request keep the first ones.
-    assert SearchSettings(runs=20, seed=5).run_seeds()[:3] == settings.run_seeds()
+    assert run_seeds(SearchSettings(runs=20, seed=5))[:3] == run_seeds(settings)
 
 
 def test_another_process_gets_the_same_numbers():
     code = (
         "from fakes.bowl import SHORT, Bowl, run_genetic;"
-        "print(run_genetic(Bowl(), population=40, seed=9, stop=SHORT).stages[0].cost.tobytes().hex()[-4000:])"
+        "print(run_genetic(Bowl(), population=40, seed=9, **SHORT).stages[0].cost.tobytes().hex()[-4000:])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    run = run_genetic(Bowl(), population=40, seed=9, stop=SHORT)
+    run = run_genetic(Bowl(), population=40, seed=9, **SHORT)
     assert out.stdout.strip() == run.stages[0].cost.tobytes().hex()[-4000:]
 
 
 def test_converges_by_the_declared_rule():
-    rule = StopRule(reading="matlab", max_generations=500)
-    run = run_genetic(Bowl(), population=40, seed=2, stop=rule)
+    rule = SearchSettings(40, 1, 2, 500, stop_reading="matlab", finish="none")
+    run = run_one(Bowl(), rule)
     assert run.stop_reason == "converged"
     assert rule.change(run.best) < 1e-4
     assert all(rule.change(run.best[:g]) >= 1e-4 for g in range(1, len(run.best)))
@@ -284,7 +282,7 @@ def test_stop_flag_keeps_what_was_found():
             flag.set()
 
     hooks = Hooks(on_generation=on_generation, should_stop=flag)
-    runs = run_many(Bowl(), SearchSettings(40, 5, 5, SHORT, **PAPER), hooks=hooks)
+    runs = run_many(Bowl(), SearchSettings(40, 5, 5, **SHORT, **PAPER), hooks=hooks)
     assert [run.stop_reason for run in runs] == ["generations", "interrupted"]
     assert len(runs[1].stages[0].cost) == 4
     assert seen[-1] == (1, 4)
@@ -293,16 +291,16 @@ def test_stop_flag_keeps_what_was_found():
 
 
 def test_limits_are_shared_by_the_runs_and_leave_a_set_of_each():
-    settings = SearchSettings(40, 2, 5, StopRule(max_generations=50, max_evaluations=1000), **PAPER)
+    settings = SearchSettings(40, 2, 5, 50, max_evaluations=1000, **PAPER)
     runs = run_many(Bowl(), settings)
     assert [(run.stop_reason, run.evaluations) for run in runs] == [("evaluations", 480)] * 2
-    runs = run_many(Bowl(), replace(settings, stop=StopRule(max_generations=50, time_limit=0.0)))
+    runs = run_many(Bowl(), replace(settings, max_evaluations=None, time_limit=0.0))
     assert [(run.stop_reason, len(run.best)) for run in runs] == [("time", 1)] * 2
 
 
 def test_ranked_sets_are_the_best_of_each_last_generation():
     objective = Bowl((0.001, 0.5, 0.999))
-    runs = run_many(objective, SearchSettings(60, 3, 5, StopRule(max_generations=40), **PAPER))
+    runs = run_many(objective, SearchSettings(60, 3, 5, 40, **PAPER))
     ranked = ranked_sets(runs, objective.space)
     best = [run.stages[0].cost[-1].min() for run in runs]
     assert ranked.cost.tolist() == sorted(best)
@@ -323,12 +321,15 @@ def test_a_flat_cost_ends():
         def evaluate(self, cube):
             return Evaluation(np.full(len(cube), 0.5), np.zeros(len(cube), bool), len(cube))
 
-    run = run_genetic(Flat(), population=20, seed=1, stop=StopRule())
+    run = run_genetic(
+        Flat(),
+        population=20,
+        seed=1,
+    )
     assert (run.stop_reason, len(run.best)) == ("converged", 5)
     # cma gives up after three generations, before this rule does; what it bred is kept.
-    patient = StopRule(window=30)
     for algorithm, finish in (("cmaes", "none"), ("ga", "cmaes")):
-        run = run_genetic(Flat(), population=20, seed=1, stop=patient, algorithm=algorithm, finish=finish)
+        run = run_genetic(Flat(), population=20, seed=1, stop_window=30, algorithm=algorithm, finish=finish)
         assert run.best[-1] == 0.5
         assert run.best_point.shape == (3,)
 
@@ -339,11 +340,11 @@ def test_refusals():
             return Evaluation(np.full(len(cube), np.nan), np.zeros(len(cube), bool), len(cube))
 
     with pytest.raises(FitError, match="20 of 20 candidates have no finite NRMSE"):
-        run_genetic(Broken(), population=20, seed=1, stop=SHORT)
+        run_genetic(Broken(), population=20, seed=1, **SHORT)
     empty = Bowl()
     empty.space = SearchSpace.build(table(), [], {})
     with pytest.raises(FitError, match="no parameter is free"):
-        run_genetic(empty, population=20, seed=1, stop=SHORT)
+        run_genetic(empty, population=20, seed=1, **SHORT)
     with pytest.raises(FitError, match="population"):
         SearchSettings(population=2)
     with pytest.raises(FitError, match="unknown algorithm 'simplex'; expected one of ga, matlab-ga"):

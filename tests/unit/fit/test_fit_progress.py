@@ -11,7 +11,7 @@ from sysid.fit import progress as progress_module
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.problem import tell_of_kernel
 from sysid.fit.progress import FitProgress
-from sysid.fit.settings import SearchSettings, StopRule
+from sysid.fit.settings import SearchSettings
 from sysid.journal import Journal
 
 GENERATION = Generation(7, np.zeros((3, 1)), np.array([0.05, 0.06, 0.3]), 1, 21, 126, elapsed=2.0)
@@ -57,7 +57,7 @@ def test_the_time_left_is_known_from_the_first_second(monkeypatch):
         clock[0] += 19.0
         assert progress.time_left() == "~ 1:24"
         assert "20 %" in progress.block().plain
-    _, limited = report(stop=StopRule(time_limit=3600.0))
+    _, limited = report(time_limit=3600.0)
     assert limited.time_left() == "< 1:00:00"
 
 

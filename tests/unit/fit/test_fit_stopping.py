@@ -9,11 +9,11 @@ import pytest
 
 from sysid.errors import FitError
 from sysid.fit import stopping
-from sysid.fit.settings import StopRule
+from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import REASONS, CutShort, Deadline, stop_on_interrupt
 
-RELATIVE = StopRule(reading="relative")
-MATLAB = StopRule(reading="matlab")
+RELATIVE = SearchSettings(stop_reading="relative")
+MATLAB = SearchSettings(stop_reading="matlab")
 
 
 def test_change_by_hand():
@@ -37,49 +37,49 @@ FLAT = [0.1001, 0.10007, 0.10005, 0.10002, 0.1]
         (MATLAB, FLAT, True),
         (RELATIVE, [0.1] * 4, False),  # the window is not full
         (RELATIVE, [0.1] * 5, True),
-        (StopRule(window=2), [0.1] * 3, True),
+        (SearchSettings(stop_window=2), [0.1] * 3, True),
         (RELATIVE, FALLING, False),
         (RELATIVE, [*FALLING, *[FALLING[-1]] * 4], True),
-        (StopRule(tolerance=0.0), [0.1] * 9, False),  # zero is never undercut
+        (SearchSettings(stop_tolerance=0.0), [0.1] * 9, False),  # zero is never undercut
     ],
 )
 def test_converged(rule, best, converged):
-    reason = rule.reason(best, evaluations=0, next_evaluations=1, elapsed=0.0)
+    reason = rule.stop_reason(best, evaluations=0, next_evaluations=1, elapsed=0.0)
     assert reason == ("converged" if converged else None)
 
 
 def test_a_search_that_has_found_no_valley_goes_on():
-    rule = StopRule(spread=0.01)
-    assert rule.reason([0.1] * 5, 0, 1, 0.0, spread=0.5) is None
-    assert rule.reason([0.1] * 5, 0, 1, 0.0, spread=0.01) == "converged"
+    rule = SearchSettings()
+    assert rule.stop_reason([0.1] * 5, 0, 1, 0.0, settled=False) is None
+    assert rule.stop_reason([0.1] * 5, 0, 1, 0.0, settled=True) == "converged"
     # Three windows of 4: a cost that is too rough for half a generation to agree ends as well.
-    assert rule.reason([0.1] * 12, 0, 1, 0.0, spread=0.5) is None
-    assert rule.reason([0.1] * 13, 0, 1, 0.0, spread=0.5) == "converged"
+    assert rule.stop_reason([0.1] * 12, 0, 1, 0.0, settled=False) is None
+    assert rule.stop_reason([0.1] * 13, 0, 1, 0.0, settled=False) == "converged"
 
 
 def test_budgets():
-    assert StopRule(max_generations=3).reason([3.0, 2.0, 1.0], 0, 1, 0.0) == "generations"
-    rule = StopRule(max_evaluations=1000)
-    assert rule.reason([1.0], 600, 400, 0.0) is None
-    assert rule.reason([1.0], 601, 400, 0.0) == "evaluations"
-    assert rule.share(5).max_evaluations == 200
-    assert StopRule(time_limit=2.0).reason([1.0], 0, 1, 2.0) == "time"
+    assert SearchSettings(max_generations=3).stop_reason([3.0, 2.0, 1.0], 0, 1, 0.0) == "generations"
+    rule = SearchSettings(runs=5, max_evaluations=1000)
+    assert rule.stop_reason([1.0], 600, 400, 0.0) is None
+    assert rule.stop_reason([1.0], 601, 400, 0.0) == "evaluations"
+    assert rule.of_a_run().max_evaluations == 200
+    assert SearchSettings(time_limit=2.0).stop_reason([1.0], 0, 1, 2.0) == "time"
     assert {"converged", "generations", "evaluations", "time", "interrupted"} <= set(REASONS)
 
 
 @pytest.mark.parametrize(
     "kwargs",
     [
-        {"reading": "both"},
-        {"window": 0},
-        {"tolerance": float("nan")},
+        {"stop_reading": "both"},
+        {"stop_window": 0},
+        {"stop_tolerance": float("nan")},
+        {"stop_tolerance": -1.0},
         {"max_generations": 0},
-        {"spread": -1.0},
     ],
 )
 def test_refusals(kwargs):
     with pytest.raises(FitError, match="stop rule"):
-        StopRule(**kwargs)
+        SearchSettings(**kwargs)
 
 
 def test_first_interrupt_sets_the_flag_second_aborts_and_handler_returns(monkeypatch):

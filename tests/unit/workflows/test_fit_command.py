@@ -2,6 +2,8 @@
 
 import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +68,7 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
     assert "verdict (with 0 of 2 runs finished): " in shown
     again = re.search(r"next:\n  sysid fit-gear (\S+) --out shown --resume --runs 2 --seed 1 ", shown)
     assert Path(again[1]).resolve() == Path(campaign).resolve()
-    refused("the seed differs (now 9, then 1)", *fit, "--resume", "--seed", "9")
+    refused("the option seed differs (now 9, then 1)", *fit, "--resume", "--seed", "9")
     code, _, err = run(*fit, "--resume")
     assert code == 0, err
     assert read_fit("cut").state == "done"
@@ -199,11 +201,11 @@ def test_the_record_says_what_was_run(campaign, run):
 
 def test_another_fit_is_not_continued(cut, campaign, refused):
     for more, words in (
-        (("--algorithm", "de"), "the algorithm differs (now de, then ga)"),
-        (("--finish", "none"), "the finisher differs (now none, then least-squares)"),
-        (("--population", "24"), "the population differs (now 24, then 16)"),
-        (("--max-generations", "9"), "the stop rule differs"),
-        (("--max-evaluations", "900"), "the evaluation budget of a run differs (now 450, then nothing)"),
+        (("--algorithm", "de"), "the option algorithm differs (now de, then ga)"),
+        (("--finish", "none"), "the option finish differs (now none, then least-squares)"),
+        (("--population", "24"), "the option population differs (now 24, then 16)"),
+        (("--max-generations", "9"), "the option max generations differs (now 9, then 4)"),
+        (("--max-evaluations", "900"), "the option max evaluations of a run differs (now 450, then nothing)"),
         # Its low friction lies outside the bounds of high friction; it is left out there.
         (("--surface", "hf"), "the parameter table differs"),
     ):
@@ -272,12 +274,11 @@ def test_more_runs_keep_the_best_five(campaign, run):
 
 def test_population_follows_the_algorithm_where_none_is_named():
     from sysid.campaign.common import FitTable
-    from sysid.fit.breeders.algorithms import DEFAULT_ALGORITHM, POPULATION
-    from sysid.workflows.fit import search_settings
+    from sysid.search_options import DEFAULT_ALGORITHM, POPULATION
     from sysid.workflows.options import FitOptions
 
     def searched(table, **options):
-        settings = search_settings(FitOptions(**options), FitTable(**table))
+        settings = FitOptions(**options).search(FitTable(**table))
         return settings.algorithm, settings.population
 
     assert searched({}) == (DEFAULT_ALGORITHM, POPULATION[DEFAULT_ALGORITHM])
@@ -286,6 +287,37 @@ def test_population_follows_the_algorithm_where_none_is_named():
         assert searched({"algorithm": algorithm}) == (algorithm, population)
     assert searched({"population": 70}, algorithm="de") == ("de", 70)
     assert searched({"population": 70}, algorithm="de", population=90) == ("de", 90)
+
+
+NEW_OPTION = """
+import importlib.util, sys
+from pathlib import Path
+found = importlib.util.find_spec("sysid.search_options")
+text = Path(found.origin).read_text(encoding="utf-8")
+line = '    tournament: Annotated[int, Flag("Rivals of a parent.", least=2)] = 2\\n'
+before, head, after = text.partition('    stop_reading: Reading = "relative"\\n')
+module = importlib.util.module_from_spec(found)
+sys.modules[found.name] = module
+exec(compile(before + line + head + after, found.origin, "exec"), vars(module))
+
+from sysid.campaign import FitTable
+from sysid.cli import main
+from sysid.fit.provenance import SearchRecord
+from sysid.workflows.options import FitOptions
+assert FitOptions().search(FitTable(tournament=3)).tournament == 3
+settings = FitOptions(tournament=4).search(FitTable(tournament=3))
+assert settings.tournament == settings.continued_by()["tournament"] == vars(settings)["tournament"] == 4
+assert SearchRecord.__annotations__["tournament"] is int
+sys.argv[1:] = ["fit-motor", "--help"]
+main()
+"""
+
+
+def test_an_option_of_the_search_is_declared_in_one_place():
+    done = subprocess.run([sys.executable, "-c", NEW_OPTION], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "--tournament NUMBER" in done.stdout
+    assert "Rivals of a parent." in done.stdout
 
 
 def test_algorithm_finish_and_budget(campaign, run):
