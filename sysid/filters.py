@@ -33,6 +33,7 @@ class _Lowpass(ABC):
     KIND: ClassVar[str]
     REMEDY: ClassVar[str]
 
+    # Sample rate [Hz].
     rate: float
 
     @property
@@ -54,8 +55,11 @@ class _Lowpass(ABC):
                 f"{len(values)} samples are fewer than the {self.minimum_samples} that the "
                 f"{self.KIND.capitalize()} filter needs; record longer or {self.REMEDY}"
             )
-        bridged, known = _bridged(values)
-        out = self._filtered(bridged)
+        finite = np.isfinite(values)
+        known = np.asarray(finite if values.ndim == 1 else finite.all(axis=1), dtype=np.bool_)
+        if not known.any():
+            raise LogError("no valid sample to filter; every sample is masked")
+        out = self._filtered(values if known.all() else bridge_gaps(values, known))
         out[~known] = np.nan
         return out
 
@@ -79,17 +83,6 @@ class ChebyshevLowpass(_Lowpass):
 
     Valid when the signal is sampled at more than twice `stop_edge`; ignores clock jitter.
 
-    Parameters
-    ----------
-    rate : float
-        Sample rate [Hz].
-    stop_edge : float
-        Stop-band edge [Hz]; the paper's "100 Hz".
-    order : int
-        Order of one pass; the forward-backward cascade has twice as many poles.
-    attenuation_db : float
-        Stop-band attenuation of one pass [dB], unprinted in the paper; the cascade has twice that.
-
     References
     ----------
     Bass & Lussier Desbiens, Section II-A.2 ("tenth-order 100-Hz low-pass Chebyshev Type II").
@@ -97,8 +90,11 @@ class ChebyshevLowpass(_Lowpass):
 
     KIND, REMEDY = "chebyshev", "switch the filter off"
 
+    # Stop-band edge [Hz]; the paper's "100 Hz".
     stop_edge: float = 100.0
+    # Order of one pass; the forward-backward cascade has twice as many poles.
     order: int = 10
+    # Stop-band attenuation of one pass [dB], unprinted in the paper; the cascade has twice that.
     attenuation_db: float = 40.0
     sections: FloatArray = field(init=False, repr=False, compare=False)
 
@@ -149,17 +145,6 @@ class ChebyshevLowpass(_Lowpass):
 class KaiserLowpass(_Lowpass):
     """Zero-phase linear-phase FIR low-pass of a uniformly sampled signal.
 
-    Parameters
-    ----------
-    rate : float
-        Sample rate [Hz].
-    cutoff : float
-        Middle of the transition band, half amplitude [Hz].
-    attenuation_db : float
-        Ripple and stop-band attenuation [dB]; unprinted in the paper.
-    transition : float
-        Width of the transition band [Hz]; unprinted in the paper.
-
     Notes
     -----
     60 dB and 10 Hz at 200 Hz give 75 taps, i.e. 37 samples of edge at each end.
@@ -171,8 +156,11 @@ class KaiserLowpass(_Lowpass):
 
     KIND, REMEDY = "kaiser", "widen its transition band"
 
+    # Middle of the transition band, where half of the amplitude is left [Hz].
     cutoff: float = 65.0
+    # Ripple and stop-band attenuation [dB], unprinted in the paper.
     attenuation_db: float = 60.0
+    # Width of the transition band [Hz], unprinted in the paper.
     transition: float = 10.0
     taps: FloatArray = field(init=False, repr=False, compare=False)
 
@@ -210,17 +198,6 @@ class KaiserLowpass(_Lowpass):
         return out
 
 
-def _bridged(values: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return (n,) or (n, k) values with their gaps bridged, and which samples (n,) are known."""
-    finite = np.isfinite(values)
-    known = np.asarray(finite if values.ndim == 1 else finite.all(axis=1), dtype=np.bool_)
-    if known.all():
-        return values, known
-    if not known.any():
-        raise LogError("no valid sample to filter; every sample is masked")
-    return bridge_gaps(values, known), known
-
-
 def bridge_gaps(values: FloatArray, valid: BoolArray) -> FloatArray:
     """Return (n,) or (n, k) `values` with the masked samples on straight lines between their neighbours.
 
@@ -239,8 +216,10 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-# Points of a spectrum, and the longest stretch that one estimate covers [s].
-_SPECTRUM_POINTS, _SPECTRUM_STRETCH = 80, 4.0
+# Number of points of a spectrum.
+_SPECTRUM_POINTS = 80
+# Longest stretch that one estimate of a spectrum covers [s].
+_SPECTRUM_STRETCH = 4.0
 
 
 def amplitude_spectrum(values: FloatArray, rate: float) -> Spectrum:

@@ -20,7 +20,7 @@ from typing import Literal, Self, TextIO
 from sysid.errors import FitError, LogError, SysidWarning, printable
 
 Severity = Literal["note", "warning"]
-# How codes begin of findings about a campaign that contradicts its logs, or a vehicle that cannot be.
+# First words of the codes of findings about a campaign that contradicts its logs, or an impossible vehicle.
 _MISSTATED = ("contradicts-", "odd-")
 # Called with one sentence at a time.
 Say = Callable[[str], None] | None
@@ -28,29 +28,19 @@ Say = Callable[[str], None] | None
 
 @dataclass(frozen=True)
 class Finding:
-    """Something noticed about an input or a result.
+    """Something noticed about an input or a result."""
 
-    Parameters
-    ----------
-    code : str
-        What kind of thing it is, in words joined by hyphens (``log-ends-early``); stable between versions.
-    sentence : str
-        For people; it does not name the trials.
-    severity : {"warning", "note"}
-        A note says what was done; a warning says what may be wrong.
-    trials : tuple of str
-        The trials or logs concerned; empty for the whole campaign.
-    size : float
-        How bad it is, on any scale, to choose the worst among findings of one code.
-    parameters : tuple of str
-        The parameters concerned; a parameter of one trial is named without the trial.
-    """
-
+    # Kind of the finding in words joined by hyphens (``log-ends-early``); stable between versions.
     code: str
+    # For people; it does not name the trials.
     sentence: str
+    # A note says what was done; a warning says what may be wrong.
     severity: Severity = "warning"
+    # Trials or logs concerned; empty for the whole campaign.
     trials: tuple[str, ...] = ()
+    # Badness on any scale, to choose the worst among findings of one code.
     size: float = 0.0
+    # Parameters concerned; a parameter of one trial is named without the trial.
     parameters: tuple[str, ...] = ()
 
     def __str__(self) -> str:

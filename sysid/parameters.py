@@ -28,35 +28,27 @@ AT_BOUND = 0.01
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a model.
+    """One number of a model."""
 
-    Parameters
-    ----------
-    name, symbol : str
-        Words of the field, e.g. ``leg_axial_stiffness``; as in equations and tables, e.g. ``k_h``.
-    nominal, lower, upper : float
-        Default value and search bounds [unit, which is SI].
-    scale : {"linear", "log"}
-        How the unit cube is laid between the bounds.
-    meaning, source : str
-        One sentence; where nominal and bounds come from ("guess" is an answer, silence is not).
-    group : str
-        What the number belongs to, e.g. ``leg``, ``ground``, ``instrument``, ``nuisance``.
-    trial : str
-        The trial or log that alone has this number, whose name ends in ``[trial]``; empty for a number of the
-        model.
-    """
-
+    # Words of the field, e.g. ``leg_axial_stiffness``.
     name: str
+    # Short form in equations and tables, e.g. ``k_h``.
     symbol: str
+    # SI, also of the next three.
     unit: str
     nominal: float
+    # Bounds of the search.
     lower: float
     upper: float
+    # How the unit cube is laid between the bounds.
     scale: Scale
+    # One sentence.
     meaning: str
+    # Origin of nominal and bounds ("guess" is an answer, silence is not).
     source: str
+    # Owner of the number, e.g. ``leg``, ``ground``, ``instrument``, ``nuisance``.
     group: str = ""
+    # The trial or log that alone has this number, whose name ends in ``[trial]``; empty for the model's.
     trial: str = ""
 
     def __post_init__(self) -> None:
@@ -125,20 +117,12 @@ class ParameterTable(dict[str, Parameter]):
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace:
-    """Which parameters are free, between which bounds, and the values of the others.
-
-    Parameters
-    ----------
-    table : ParameterTable
-        The model's rows.
-    free : tuple of Parameter
-        Free rows in search order, bounds already overridden by the campaign.
-    fixed : mapping of str to float
-        Value of every other row [its unit].
-    """
+    """Which parameters are free, between which bounds, and the values of the others."""
 
     table: ParameterTable
+    # Free rows in search order, bounds already overridden by the campaign.
     free: tuple[Parameter, ...]
+    # Value of every other row [its unit].
     fixed: Mapping[str, float]
 
     def __post_init__(self) -> None:

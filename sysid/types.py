@@ -17,15 +17,9 @@ Direction = Literal["forward", "reverse", "reversal"]
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """How a signal is spread over frequency.
+    """How a signal is spread over frequency."""
 
-    Parameters
-    ----------
-    frequency : (F,) array
-        Increasing, logarithmically spaced where the signal is long enough [Hz].
-    density : (F, C) array
-        Amplitude spectral density of each channel [unit/√Hz].
-    """
-
+    # (F,) increasing, logarithmically spaced where the signal is long enough [Hz].
     frequency: FloatArray
+    # (F, C) amplitude spectral density of each channel [unit/√Hz].
     density: FloatArray

@@ -6,7 +6,7 @@ import difflib
 import hashlib
 import re
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import Union, get_args, get_origin
@@ -110,7 +110,7 @@ def _first_sentence(error: ValidationError, model: type[BaseModel], data: dict[s
     where, value = _place(detail["loc"], data), detail.get("input")
     if detail["type"] == "extra_forbidden":
         *table, key = detail["loc"]
-        known = _known_keys(model, table)
+        known = _known_keys(model, [part for part in table if isinstance(part, str)])
         lacking = {d["loc"] for d in details if d["type"] == "missing"}
         # Exchanged letters first, then keys that are missing, then by likeness.
         near = sorted(
@@ -146,23 +146,12 @@ def _place(loc: tuple[int | str, ...], data: object) -> str:
     return out
 
 
-def _known_keys(model: type[BaseModel], loc: Iterable[int | str]) -> list[str]:
-    for key in loc:
-        if isinstance(key, str):
-            inner = _model_in(model.model_fields[key].annotation)
-            if inner is None:
-                return []
-            model = inner
-    return sorted(model.model_fields)
-
-
-def _model_in(annotation: object) -> type[BaseModel] | None:
-    """Return the table class inside an annotation such as ``tuple[GearTrial, ...]``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
+def _known_keys(annotation: object, tables: Sequence[str]) -> list[str]:
+    """Return the keys of a table, reached through `tables` from an annotation (``tuple[GearTrial, ...]``)."""
     if get_origin(annotation) in (tuple, Union, UnionType):
-        for inner in get_args(annotation):
-            model = _model_in(inner)
-            if model is not None:
-                return model
-    return None
+        return next((found for inner in get_args(annotation) if (found := _known_keys(inner, tables))), [])
+    if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+        return []
+    if not tables:
+        return sorted(annotation.model_fields)
+    return _known_keys(annotation.model_fields[tables[0]].annotation, tables[1:])

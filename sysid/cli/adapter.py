@@ -25,7 +25,7 @@ Run = Callable[..., int | None]
 
 
 _LAST, _DEFAULT = ("Output", "Computing"), re.compile(r"\[default: \(([^)]*)\)")
-# What the help calls a value. Of a choice it lists the words.
+# Words of the help for a value by its type; a choice lists its own.
 _VALUES = {Path: "PATH", str: "TEXT", int: "NUMBER", float: "NUMBER"}
 # An example that is longer goes on in the next line [characters].
 _LINE = 74

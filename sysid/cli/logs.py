@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -22,16 +22,13 @@ from sysid.workflows.options import (
     log_files,
 )
 
-if TYPE_CHECKING:
-    from sysid.workflows.inspect import Draw
-
 SynthesizedFolder = Annotated[Path, Flag("Folder to write.", "--out")]
 
 
 @command(app, "formats", "sysid formats")
 def formats(json: Json = False) -> None:
     """List the log formats that are read, with their options."""
-    from sysid.workflows.formats import print_formats
+    from sysid.workflows.inspect import print_formats
 
     print_formats(json)
 
@@ -50,16 +47,14 @@ def inspect(
     """
     from sysid.workflows.inspect import inspect_files, parse_options
 
-    draw = None if figure is None else _drawing(figure)
+    draw = None
+    if figure is not None:
+        # matplotlib is imported only when something is drawn.
+        from sysid.report.drawing import save_figure
+        from sysid.report.inspect_figures import figure_logs
+
+        draw = lambda recordings, reports: save_figure(figure_logs(recordings, reports), figure)  # noqa: E731
     inspect_files(logs, format_name=format, options=parse_options(option), draw=draw, as_json=json)
-
-
-def _drawing(path: Path) -> Draw:
-    """Return what draws logs to a file; matplotlib is imported only when something is drawn."""
-    from sysid.report.drawing import save_figure
-    from sysid.report.inspect_figures import figure_logs
-
-    return lambda recordings, reports: save_figure(figure_logs(recordings, reports), path)
 
 
 @command(app, "convert", "sysid convert data_samples/motor/forward-1.csv --out forward-1.h5")

@@ -24,7 +24,7 @@ _COMPUTED = ("=", "+", "-", "@", "\t", "\r", "'")
 _FIXED = ("row", "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "mean", "sigma")
 _TEXTS = ("name", "symbol", "unit", "status", "meaning", "source", "group", "trial")
 _NUMBERS = ("lower", "upper", "nominal", "stated_sigma")
-# For people; the settings state the same.
+# Columns for people; the settings state the same.
 _INTERVAL = ("interval_low", "interval_high", "verdict")
 _RECORD = (*_TEXTS, *_NUMBERS, "scale")
 
@@ -72,12 +72,13 @@ def csv_text(
     stream = io.StringIO(newline="")
     writer = csv.DictWriter(stream, columns or list(rows[0]), restval="", lineterminator=line_end)
     writer.writeheader()
-    writer.writerows({key: _inert(cell) for key, cell in row.items()} for row in rows)
+    for row in rows:
+        inert = {
+            key: f"'{cell}" if isinstance(cell, str) and cell.startswith(_COMPUTED) else cell
+            for key, cell in row.items()
+        }
+        writer.writerow(inert)
     return stream.getvalue()
-
-
-def _inert(cell: object) -> object:
-    return f"'{cell}" if isinstance(cell, str) and cell.startswith(_COMPUTED) else cell
 
 
 def _by_set(values: Iterable[float]) -> dict[str, object]:

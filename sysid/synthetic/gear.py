@@ -35,8 +35,9 @@ _MARKER_HEIGHT = 7e-3
 _CENTRE_OF_MASS = (0.004, -0.022, 0.003)
 # Place of the board's hinge line in the room, along (down-slope, into the page, up) [m].
 _HINGE = (0.8125, -0.3640, 0.4305)
-# How far the rigid body's axes are from level while the drone hangs level: pitch, roll, yaw [deg].
+# Pitch, roll and yaw of the rigid body's axes while the drone hangs level [deg].
 _BODY_AXES_DEG = (0.6, -0.4, 0.3)
+# Length of a log after the contact [s].
 _AFTER_CONTACT = 1.05
 # Unix time of frame 0 of the streamed table [s].
 _EPOCH = 1_700_000_000.0
@@ -108,21 +109,21 @@ HF_DROPS = (
 
 @dataclass(frozen=True)
 class CaptureLab:
-    """How drops are recorded.
+    """How drops are recorded."""
 
-    Standard deviations of noise per axis and frame [m], [rad], where 0 leaves the quantization of the file
-    only; the rate of the capture [Hz]; the capture axes that point up and down the slope; what the campaign
-    states about the `plane` of the surface, although every log contains three board markers; whether the body
-    is lost for 1 to 4 frames three times per drop; the amplitude of roll and yaw after the contact [rad].
-    """
-
+    # Standard deviations per axis and frame [m], [rad]; 0 leaves the quantization of the file only.
     noise_position: float = 0.3e-3
     noise_angle: float = math.radians(0.2)
+    # Rate of the capture [Hz].
     rate: float = 200.0
+    # Capture axes that point up and down the slope.
     up: str = "+y"
     down_slope: str = "-z"
+    # Statement of the campaign about the surface; every log contains three board markers anyway.
     plane: Literal["point", "markers"] = "point"
+    # Whether the body is lost for 1 to 4 frames three times per drop.
     occlusions: bool = True
+    # Amplitude of roll and yaw after the contact [rad].
     wobble: float = math.radians(0.4)
 
     @property
@@ -213,7 +214,24 @@ def synthesize_gear(
                 rotation="XYZ" if plan.export == "motive-euler" else "Quaternion",
             )
         trials.append(_trial_text(number, plan, log, setup))
-        facts.append({**_facts(number, truth, log), **marks})
+        # The clock of the facts is the clock of the log.
+        shift = _EPOCH if plan.export == "pose-table" else 0.0
+        x, z, pitch = (float(value) for value in truth.start[:3])
+        fact = {
+            "name": f"drop-{number}",
+            "log": log,
+            "export": plan.export,
+            "use": plan.use,
+            "slope": plan.slope,
+            "impact_speed": plan.impact_speed,
+            "fall_height": truth.fall_height,
+            "release": shift + truth.release,
+            "touchdown": shift + truth.touchdown,
+            "state_at_release": {"x_B": x, "z_B": z, "q_B": pitch},
+            "travel": round(truth.travel, 4),
+            "first_frame": truth.first_frame,
+        }
+        facts.append({**fact, **marks})
     campaign = _campaign_text(name or f"synthetic-{surface}", true, surface, setup, seed)
     circumstances = {
         "surface": surface,
@@ -323,27 +341,6 @@ def _board_markers(slope: float, frame: CaptureFrame, hinge: FloatArray) -> Floa
     spots = ((-0.62, -0.28), (-0.58, 0.30), (0.11, 0.27))
     local = [s * along + np.array([0.0, y, 0.0]) + _MARKER_HEIGHT * normal for s, y in spots]
     return hinge + np.array(local) @ frame.matrix
-
-
-def _facts(number: int, truth: _Truth, log: str) -> dict[str, object]:
-    """Return what the truth file states of a drop; its clock is the clock of its log."""
-    plan = truth.plan
-    shift = _EPOCH if plan.export == "pose-table" else 0.0
-    x, z, pitch = (float(value) for value in truth.start[:3])
-    return {
-        "name": f"drop-{number}",
-        "log": log,
-        "export": plan.export,
-        "use": plan.use,
-        "slope": plan.slope,
-        "impact_speed": plan.impact_speed,
-        "fall_height": truth.fall_height,
-        "release": shift + truth.release,
-        "touchdown": shift + truth.touchdown,
-        "state_at_release": {"x_B": x, "z_B": z, "q_B": pitch},
-        "travel": round(truth.travel, 4),
-        "first_frame": truth.first_frame,
-    }
 
 
 def _quantity(value: float, unit: str, scale: float = 1.0) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 import sysid
 from sysid import exact_json
 from sysid.errors import SysidError
-from sysid.fit.result import FitResult
 from sysid.journal import Say
 from sysid.report.drawing import save_figure
 from sysid.report.fit_figures import figure_convergence
@@ -60,9 +59,18 @@ def run_demo(data: Path | None, out: Path, quiet: bool = False, say: Say = None,
         tell(f"{number}/{len(_CAMPAIGNS)} {words}")
         options = FitOptions(out / name, force=True, quiet=quiet or json)
         result, folder = fit_campaign(samples / name / "campaign.toml", options, say=say)
-        nrmse, outputs = result.nrmse.tolist(), _outputs(result, folder)
+        outputs = {"fit": folder}
+        for suffix in ("json", "csv"):
+            (outputs[f"sets_{suffix}"],) = export_sets(folder, folder / f"sets.{suffix}", force=True)
+        for what, figure in (
+            ("measured_against_simulated", figure_measured_against_simulated(result)),
+            ("convergence", figure_convergence(result, wide=True)),
+        ):
+            outputs[what] = save_figure(figure, folder / f"{what.replace('_', '-')}.png")
+        outputs["report"] = write_report(folder)["report"]
         tell(f"wrote {outputs['report']}")
         reports.append(outputs["report"].resolve())
+        nrmse = result.nrmse.tolist()
         for what, path in outputs.items():
             written.append({"kind": result.kind, "what": what, "path": str(path), "nrmse": nrmse})
         truth = exact_json.loads((samples / name / "truth.json").read_text(encoding="utf-8"))
@@ -78,16 +86,3 @@ def run_demo(data: Path | None, out: Path, quiet: bool = False, say: Say = None,
         for report in reports:
             print(f"  {report}")
         print("next, with your own logs: sysid new-campaign gear --minimal --from LOG... (or motor)")
-
-
-def _outputs(result: FitResult, folder: Path) -> dict[str, Path]:
-    """Write exports, figures and the report of a fit; return the files by what they are."""
-    out = {"fit": folder}
-    for suffix in ("json", "csv"):
-        (out[f"sets_{suffix}"],) = export_sets(folder, folder / f"sets.{suffix}", force=True)
-    for what, figure in (
-        ("measured_against_simulated", figure_measured_against_simulated(result)),
-        ("convergence", figure_convergence(result, wide=True)),
-    ):
-        out[what] = save_figure(figure, folder / f"{what.replace('_', '-')}.png")
-    return out | {"report": write_report(folder)["report"]}

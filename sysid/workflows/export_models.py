@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from sysid.errors import ExportError
@@ -44,35 +43,28 @@ def export_sets(
             f"{source}: the model does not explain the trials, so no parameter is well known",
         )
     suffix = target.suffix.lower()
-    if suffix in MODELS:
-        if suffix == ".sdf" and (per_leg or slope):
-            raise ExportError(f"{target}: --per-leg and --slope are for MuJoCo models (.xml); leave them out")
-        ranks = [rank] if rank is not None else range(1, len(sets) + 1)
-        files = _model_files(sets, target, ranks, force, alone=rank is not None or len(sets) == 1)
-        documents = [_motor(sets, i) if suffix == ".sdf" else _gear(sets, i, slope, per_leg) for i in ranks]
-        for file, document in zip(files, documents, strict=True):
-            write_file(file, document, ExportError)
-        return files
-    if rank is not None or slope or per_leg:
-        raise ExportError(
-            f"{target}: --set, --slope and --per-leg are for models of other simulators (.xml, .sdf); "
-            "leave them out"
-        )
-    check_file(target, force=force, error_type=ExportError)
-    return [export(sets, target)]
-
-
-def _model_files(
-    sets: ParameterSets, target: Path, ranks: Sequence[int], force: bool, *, alone: bool
-) -> list[Path]:
-    """Return the file of every set; refuse sets of the wrong kind and files that cannot be written."""
-    what, kind = MODELS[target.suffix.lower()]
+    if suffix not in MODELS:
+        if rank is not None or slope or per_leg:
+            raise ExportError(
+                f"{target}: --set, --slope and --per-leg are for models of other simulators (.xml, .sdf); "
+                "leave them out"
+            )
+        check_file(target, force=force, error_type=ExportError)
+        return [export(sets, target)]
+    if suffix == ".sdf" and (per_leg or slope):
+        raise ExportError(f"{target}: --per-leg and --slope are for MuJoCo models (.xml); leave them out")
+    what, kind = MODELS[suffix]
     if sets.kind != kind:
         raise ExportError(f"{target}: {what} needs the sets of a {kind}; {sets.name} has {sets.kind} sets")
-    files = [target if alone else target.with_name(f"{target.stem}-{i}{target.suffix}") for i in ranks]
-    for file in files:
+    documents: dict[Path, bytes] = {}
+    for i in [rank] if rank is not None else range(1, len(sets) + 1):
+        alone = rank is not None or len(sets) == 1
+        file = target if alone else target.with_name(f"{target.stem}-{i}{target.suffix}")
         check_file(file, force=force, error_type=ExportError)
-    return files
+        documents[file] = _motor(sets, i) if suffix == ".sdf" else _gear(sets, i, slope, per_leg)
+    for file, document in documents.items():
+        write_file(file, document, ExportError)
+    return list(documents)
 
 
 def _gear(sets: ParameterSets, rank: int, slope: float, per_leg: bool) -> bytes:

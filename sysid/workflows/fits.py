@@ -17,17 +17,18 @@ from sysid.storage import numbered
 
 @dataclass(frozen=True)
 class FitEntry:
-    """One fit of a folder: best NRMSE until now [1], runs begun, last change [s since 1970].
-
-    The state is ``running`` (a process works on it), ``stopped`` (can be continued), ``unfinished`` (one of
-    these two; its lock may not be opened), ``done``, ``cut`` (a run ended by its budget of candidates or
-    generations), or ``damaged``.
-    """
+    """One fit of a folder."""
 
     name: str
+    # ``running`` (a process works on it), ``stopped`` (can be continued), ``unfinished`` (one of these two;
+    # its lock may not be opened), ``done``, ``cut`` (a run ended by its budget of candidates or generations),
+    # or ``damaged``.
     state: str
+    # Best NRMSE until now [1].
     nrmse: float | None
+    # Number of runs begun.
     runs: int
+    # Last change [s since 1970].
     changed: float
 
 
@@ -50,7 +51,9 @@ def list_fits(folder: str | Path) -> list[FitEntry]:
         for path in folder.glob(pattern + Checkpoint.SUFFIX):
             if Checkpoint.kept(path):
                 name = path.relative_to(folder).as_posix().removesuffix(Checkpoint.SUFFIX)
-                entries[name] = _unfinished(name, path)
+                runs, lowest, changed = glance(path)
+                state = {True: "running", False: "stopped", None: "unfinished"}[in_use(path)]
+                entries[name] = FitEntry(name, state, lowest, runs, changed)
     return [entries[name] for name in sorted(entries)]
 
 
@@ -66,12 +69,6 @@ def _finished(name: str, path: Path) -> FitEntry:
             return FitEntry(name, state, nrmse, len(runs), changed)
     except FitError:
         return FitEntry(name, "damaged", None, 0, changed)
-
-
-def _unfinished(name: str, path: Path) -> FitEntry:
-    runs, lowest, changed = glance(path)
-    state = {True: "running", False: "stopped", None: "unfinished"}[in_use(path)]
-    return FitEntry(name, state, lowest, runs, changed)
 
 
 def print_fits(folder: Path, json: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""The content of a log, in words and figures, and its conversion: the commands `inspect` and `convert`."""
+"""What is read: the commands `formats`, `inspect` (a log in words and figures) and `convert`."""
 
 from __future__ import annotations
 
@@ -18,14 +18,23 @@ from sysid.loaders import formats, load
 from sysid.loaders.alignment import join_recordings
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Recording
-from sysid.report.fold import print_table
-from sysid.report.table import number, numbers, table, words
+from sysid.report.fold import print_result, print_table
+from sysid.report.table import listed, number, numbers, table, words
 from sysid.storage import check_file
 from sysid.trials.look import BenchReport, DropReport, LogReport, inspect_recording
 
 _MOST_ROWS = 40
 _HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5")
 Draw = Callable[[Sequence[Recording], Sequence[LogReport]], Path]
+
+
+def print_formats(as_json: bool = False) -> None:
+    """Print the formats that are read, with the options of each; installed packages may add formats."""
+    kinds = formats().items()
+    rows = [{"format": name, "reads": kind.describes, "options": list(kind.options)} for name, kind in kinds]
+    if not print_result(rows, as_json):
+        cells = [(name, kind.describes, ", ".join(kind.options) or "none") for name, kind in kinds]
+        print_table(listed("", cells, ("format", "reads", "options"), texts=3))
 
 
 def parse_options(given: Sequence[str]) -> dict[str, object]:

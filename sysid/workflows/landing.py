@@ -20,7 +20,7 @@ from sysid.landing.design_study import find_changes
 from sysid.landing.drone import Drone, Motors
 from sysid.landing.simulate import EVENT, HISTORY, Landing, land
 from sysid.report.fold import print_result, print_table
-from sysid.report.table import Table, TableColumn, table
+from sysid.report.table import TableColumn, table
 from sysid.storage import FileKind, check_file, put, put_json, put_texts, write_file
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets
 from sysid.workflows.options import SimulateOptions, TouchdownOptions
@@ -69,7 +69,15 @@ def print_landings(landings: Sequence[Landing], files: Sequence[Path], json: boo
     rows = list(map(outcome_row, count(1), landings))
     document = [row | {"events": landing.event_rows} for row, landing in zip(rows, landings, strict=True)]
     if not print_result(document, json):
-        print_table(_table(rows, landings[0]))
+        first = landings[0]
+        title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
+        title += f"{first.scenario.speed:g} m/s: {first.label}"
+        cells = [[f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+        columns = [
+            TableColumn(label(name), itemgetter(k), number=name != "outcome")
+            for k, name in enumerate(rows[0])
+        ]
+        print_table(table(title, cells, columns))
         for path in files:
             print(f"wrote {path}")
 
@@ -164,13 +172,3 @@ def _hdf5(
         put(group, "events/time", [event["time"] for event in events], "event", "s")
         for key in ("event", "of"):
             put_texts(group, f"events/{key}", [event[key] for event in events])
-
-
-def _table(rows: Sequence[dict[str, object]], first: Landing) -> Table:
-    title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
-    title += f"{first.scenario.speed:g} m/s: {first.label}"
-    cells = [[f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
-    columns = [
-        TableColumn(label(name), itemgetter(k), number=name != "outcome") for k, name in enumerate(rows[0])
-    ]
-    return table(title, cells, columns)

@@ -45,7 +45,14 @@ def compute_landing_maps(options: LandingMapOptions) -> MapFile | None:
     )  # fmt: skip
     real = read_experiments(options.experiments) if options.experiments else ()
     maps = [(fleet[0].surface, controller) for fleet in fleets for controller in controllers]
-    _warn_of_strangers(options.experiments, real, maps)
+    if lost := strangers(real, maps):
+        names = ", ".join(f"{surface} {label!r} ({count})" for (surface, label), count in lost.items())
+        known = ", ".join(f"{surface} {controller.label!r}" for surface, controller in maps)
+        notice(
+            "landings-without-map",
+            f"{options.experiments}: {sum(lost.values())} of {len(real)} real landings belong to no "
+            f"map and are left out: {names}; the maps are {known}",
+        )
 
     def compute(how: Computing) -> MapFile | None:
         maps = landing_maps(fleets, controllers, settings, how)
@@ -104,21 +111,6 @@ def compute_impulse_maps(options: ImpulseMapOptions) -> MapFile | None:
     )
     _print(content, options, picture, None)
     return content
-
-
-def _warn_of_strangers(
-    path: Path | None, real: Sequence[Experiment], maps: Sequence[tuple[str, Controller]]
-) -> None:
-    """Name the real landings that no map of surface and controller shows, before the minutes are spent."""
-    lost = strangers(real, maps)
-    if lost:
-        names = ", ".join(f"{surface} {label!r} ({count})" for (surface, label), count in lost.items())
-        known = ", ".join(f"{surface} {controller.label!r}" for surface, controller in maps)
-        notice(
-            "landings-without-map",
-            f"{path}: {sum(lost.values())} of {len(real)} real landings belong to no "
-            f"map and are left out: {names}; the maps are {known}",
-        )
 
 
 def limits_of(fleets: Fleets, controllers: Sequence[Controller]) -> list[dict[str, object]]:

@@ -22,12 +22,17 @@ _RECORDED = {
     "gear": ({"motion-capture"}, "drops under motion capture"),
     "motor": ({"thrust-stand", "load-cell", "static-map"}, "a motor on a thrust stand or load cell"),
 }
-# Numbers of servo pulses; a log within this of rest [µs] turns one way only.
+# Commands of a usual speed controller [µs].
 _US = {"minimum": 1000, "neutral": 1500, "maximum": 2000}
+# Largest distance from rest [µs] that a log of one direction keeps on the other side.
 _NEAR_REST = 20.0
 # Least share [1] of the largest thrust among the logs; a log with less was taken without propeller.
 _NO_THRUST = 0.02
 _TODO = "TODO"
+# Row of a campaign that is written without logs.
+_BLANK = {
+    "name": "trial-1", "file": f"{_TODO}.csv", "slope": f"{_TODO} deg", "direction": _TODO, "points": "",
+}  # fmt: skip
 
 
 def write_new_campaign(
@@ -42,22 +47,21 @@ def write_new_campaign(
     check_file(path, force=force, error_type=CampaignError)
     if minimal or logs:
         environment = Environment(loader=PackageLoader("sysid", "templates"), autoescape=False)
-        content = _content(kind, path, [_look(kind, log) for log in logs])
+        reports: list[LogReport] = []
+        kinds, wanted = _RECORDED[kind]
+        for log in logs:
+            report = inspect_recording(load(log))
+            if report.kind not in kinds:
+                raise CampaignError(
+                    f"{log}: is a {report.kind} log; a {kind} campaign needs {wanted}, so leave this log out"
+                )
+            reports.append(report)
+        content = _content(kind, path, reports)
         text = environment.get_template(f"{kind}-minimal.toml").render(content) + "\n"
     else:
         text = resources.files("sysid").joinpath("templates", f"{kind}.toml").read_text(encoding="utf-8")
     write_file(path, text.encode("utf-8"), CampaignError)
     return path
-
-
-def _look(kind: str, log: Path) -> LogReport:
-    report = inspect_recording(load(log))
-    kinds, wanted = _RECORDED[kind]
-    if report.kind not in kinds:
-        raise CampaignError(
-            f"{log}: is a {report.kind} log; a {kind} campaign needs {wanted}, so leave this log out"
-        )
-    return report
 
 
 def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, object]:
@@ -86,15 +90,6 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
         "neutral": numbers["neutral"] if both or not known else None,
         "logs": [_entry(report, path, most, both) for report in reports] or [_BLANK],
     }
-
-
-_BLANK = {
-    "name": "trial-1",
-    "file": f"{_TODO}.csv",
-    "slope": f"{_TODO} deg",
-    "direction": _TODO,
-    "points": "",
-}
 
 
 def _entry(report: LogReport, path: Path, most: float, both: bool) -> dict[str, str]:
