@@ -10,24 +10,16 @@ from numpy.typing import ArrayLike
 
 from sysid.types import FloatArray
 
-# No piece gets shorter than this, whatever its error: a jump of the slope stays one [s].
+# Shortest piece, whatever its error [s]: a jump of the slope stays one.
 _SHORTEST = 2e-5
 
 
 @dataclass(frozen=True, eq=False)
 class PiecewiseCubic:
-    """Cubic polynomials between knots, constant before the first and after the last.
+    """Cubic polynomials between knots, constant before the first and after the last."""
 
-    Parameters
-    ----------
-    knots : (n + 1,) array
-        Increasing instants [s].
-    coefficients : (n, 4) array
-        Of (t - knots[i])**0 .. **3 in piece i [unit of the value over s**k].
-    """
-
-    knots: FloatArray
-    coefficients: FloatArray
+    knots: FloatArray  # (n + 1,) increasing instants [s]
+    coefficients: FloatArray  # (n, 4) of (t - knots[i])**0 .. **3 in piece i [unit of the value over s**k]
 
     def __post_init__(self) -> None:
         knots = np.array(self.knots, dtype=np.float64)

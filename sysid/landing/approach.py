@@ -14,18 +14,18 @@ from sysid.landing.settings import Scenario
 from sysid.motor import model as motor_model
 from sysid.types import FloatArray
 
-# Proportional and derivative control of the pitch toward level, on top of the hover command: natural
-# frequency [rad/s] and damping ratio [1] of instantaneous motors; a lag of some 40 ms takes some of it away.
+# Natural frequency [rad/s] and damping ratio [1] of the proportional and derivative control of the pitch
+# toward level, with instantaneous motors; a lag of some 40 ms takes some of the damping away.
 FREQUENCY, DAMPING = 6.0, 1.2
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """How a descent ends: the first foot on the surface, the motors then, and after how long [s]."""
+    """How a descent ends."""
 
-    touchdown: Scenario
-    motors: MotorState
-    duration: float
+    touchdown: Scenario  # the first foot on the surface
+    motors: MotorState  # at the touchdown
+    duration: float  # of the descent [s]
 
 
 def fly_down(drone: Drone, begin: Scenario, height: float) -> Descent:

@@ -37,19 +37,6 @@ STANDARD_GRAVITY = 9.80665
 class Sensing:
     """An accelerometer at the body's centre of mass that looks for an impact.
 
-    Parameters
-    ----------
-    threshold : float
-        Magnitude of the filtered specific force at which an impact is seen [m/s²]; 2 g. Hovering reads 1 g.
-    rate : float
-        Samples per second [Hz].
-    corner : float
-        -3 dB corner of the low-pass, Butterworth, causal [Hz].
-    order : int
-        Of the low-pass.
-    window : float
-        An impact is looked for during this time after touchdown [s].
-
     Notes
     -----
     The filter's delay (about 11 ms at 30 Hz) is part of the reaction time. A gentle touchdown may stay below
@@ -57,11 +44,12 @@ class Sensing:
     Without attitude control that says nothing after some tenths of a second, hence the window.
     """
 
+    # Magnitude of the filtered specific force that is an impact [m/s²]; hovering reads 1 g.
     threshold: float = 2.0 * STANDARD_GRAVITY
-    rate: float = 1000.0
-    corner: float = 30.0
-    order: int = 3
-    window: float = 0.5
+    rate: float = 1000.0  # samples per second [Hz]
+    corner: float = 30.0  # -3 dB corner of the causal Butterworth low-pass [Hz]
+    order: int = 3  # of the low-pass
+    window: float = 0.5  # time after touchdown in which an impact counts [s]
 
     def __post_init__(self) -> None:
         if not (

@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any, Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ Kind = Literal["gear", "motor", "reversal"]
 REVERSAL = "reversal_delay"
 # Largest number of values of one change.
 _MOST = 41
-# Examples in refusals, by whether single values are asked for.
+# Example in a refusal, by whether a single value is asked for.
 _ASKED = {False: "--vary k_t=0.5:2:5", True: "--change k_t=1.5"}
 
 
@@ -117,7 +117,18 @@ def find_changes(text: str, *, single: bool = False) -> tuple[Change, ...]:
 def _change(text: str, single: bool) -> Change:
     name, equals, span = text.partition("=")
     name = name.strip()
-    kind, row_name, symbol = _find(name)
+    rows: list[tuple[Kind, str, str]] = [("gear", row.name, row.symbol) for row in GEAR.values()]
+    rows += [("motor", row.name, row.symbol) for row in MOTOR.values()]
+    chosen = [row for row in rows if name in row[1:]]
+    if name == REVERSAL:
+        chosen = [("reversal", REVERSAL, "reversal delay")]
+    if not chosen:
+        symbols = (row.symbol for row in GEAR.values() if row.symbol.isascii() and "/" not in row.symbol)
+        raise CampaignError(
+            f"no design parameter {name!r}; known are {REVERSAL}, {', '.join(symbols)}, and every name of "
+            "the gear's and the motor's table"
+        )
+    kind, row_name, symbol = chosen[0]
     parts = [part.strip() for part in span.split(":")]
     if single and equals and len(parts) == 1:
         parts = [*parts, *parts, "1"]
@@ -140,51 +151,32 @@ def _change(text: str, single: bool) -> Change:
     return Change(row_name, symbol, kind, tuple(np.geomspace(first, last, count).round(12).tolist()))
 
 
-def _find(name: str) -> tuple[Kind, str, str]:
-    if name == REVERSAL:
-        return "reversal", REVERSAL, "reversal delay"
-    tables: tuple[tuple[Kind, Any], ...] = (("gear", GEAR), ("motor", MOTOR))
-    for kind, table in tables:
-        for row in table.values():
-            if name in (row.name, row.symbol):
-                return kind, row.name, row.symbol
-    known = ", ".join(row.symbol for row in GEAR.values() if row.symbol.isascii() and "/" not in row.symbol)
-    raise CampaignError(
-        f"no design parameter {name!r}; known are {REVERSAL}, {known}, and every name of the gear's and the "
-        "motor's table"
-    )
+class Gain(TypedDict):
+    """What a change buys at its best value, and costs at its worst, in landable degrees over the speeds."""
+
+    change: str
+    best: list[float]
+    gain_deg: float
+    worst: list[float]
+    loss_deg: float
+    steepest_deg: list[float]  # by speed, at the best value
+    at_edge: list[bool]  # the same
 
 
 @dataclass(frozen=True, eq=False)
 class DesignStudy:
-    """What became of every design.
+    """What became of p designs over n slopes and m speeds."""
 
-    Parameters
-    ----------
-    name, controller : str
-        Of the sets; label.
-    points : (p, c) array
-        Value of each change in every design; the first is the sets as they are.
-    landed : (p, n, m) array
-        Share of the landings within the long distance over slopes and speeds [1], as from `shares_of`.
-    lost : (p,) int64 array
-        Landings of each design that could not be simulated.
-    outcome : (p, n, m) int8 array
-        Likeliest class, see `sysid.landing.maps.LandingMap.likeliest`.
-    distance, time : (p, n, m) arrays
-        Means over the landings that came to rest [m], [s]; NaN where none did.
-    """
-
-    name: str
-    controller: str
+    name: str  # of the sets
+    controller: str  # label of the controller
     changes: tuple[Change, ...]
     settings: StudySettings
-    points: FloatArray
-    landed: FloatArray
-    lost: IntArray
-    outcome: NDArray[np.int8]
-    distance: FloatArray
-    time: FloatArray
+    points: FloatArray  # (p, c) value of each change; the first design is the sets as they are
+    landed: FloatArray  # (p, n, m) share of the landings within the long distance [1], as from `shares_of`
+    lost: IntArray  # (p,) landings that could not be simulated
+    outcome: NDArray[np.int8]  # (p, n, m) likeliest class, as of `sysid.landing.maps.LandingMap`
+    distance: FloatArray  # (p, n, m) mean over the landings that came to rest [m]; NaN where none did
+    time: FloatArray  # (p, n, m) the same [s]
 
     @property
     def steepest(self) -> FloatArray:
@@ -220,16 +212,14 @@ class DesignStudy:
         _, first = np.unique(self.points[chosen, change], return_index=True)
         return np.asarray(chosen[first])
 
-    def gains(self) -> list[dict[str, Any]]:
-        """Return per change its best and worst value, what the best one buys and the worst one costs.
+    def gains(self) -> list[Gain]:
+        """Return what each change buys and costs, what buys most first.
 
-        What buys most comes first. ``steepest_deg`` and ``at_edge`` are at the best value, by speed. Gains
-        are in landable degrees, mean over the speeds; designs with several changes count as they are. Slopes
-        beyond the grid count nowhere, so a design that is safe up to the grid's edge may gain more.
+        Designs with several changes count as they are. Slopes beyond the grid count nowhere, so a design that
+        is safe up to the grid's edge may gain more.
         """
-        base = self.landable[0]
-        gained = (self.landable - base).mean(axis=1)
-        rows: list[dict[str, Any]] = []
+        gained = (self.landable - self.landable[0]).mean(axis=1)
+        rows: list[Gain] = []
         groups: list[tuple[tuple[int, ...], NDArray[np.intp]]]
         groups = [((c,), self.along(c)) for c in range(len(self.changes))]
         if self.settings.together:

@@ -25,7 +25,7 @@ from sysid.landing.settings import LANDING_TOLERANCE, ImpulseSettings, Scenario
 from sysid.landing.simulate import second_impacts
 from sysid.types import BoolArray, FloatArray, IntArray
 
-# Number of landings simulated in one call; it bounds the memory.
+# Number of landings that one call simulates, which bounds the memory.
 _AT_ONCE = 20_000
 # Largest difference of angular speed that makes no difference when an optimum is refined [rad/s].
 _EQUAL_TURN = 0.02
@@ -33,23 +33,21 @@ _EQUAL_TURN = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The best impulse of each of n landings, on the grid and refined.
+    """The best impulse of each of n landings, on the grid and refined; arrays are (n,).
 
-    `delay` and `duration` (n,) [s] are 0 where no impulse is worth it or the front foot never touches down:
-    all motors reverse (what follows the impulse) at once. `turn` is the angular speed at the second impact
-    [rad/s], `attitude` pitch minus slope then [rad], NaN where there is none. `simulated` landings were
-    needed for the grid; all other pairs equal one of them.
+    Delay and duration are 0 where no impulse is worth it or the front foot never touches down: all motors
+    reverse (what follows the impulse) at once.
     """
 
-    delay: FloatArray
-    duration: FloatArray
-    turn: FloatArray
-    attitude: FloatArray
+    delay: FloatArray  # [s]
+    duration: FloatArray  # [s]
+    turn: FloatArray  # angular speed at the second impact [rad/s]; NaN without one
+    attitude: FloatArray  # pitch minus slope at the second impact [rad]; NaN without one
     refined_delay: FloatArray
     refined_duration: FloatArray
     refined_turn: FloatArray
     refined_attitude: FloatArray
-    simulated: IntArray
+    simulated: IntArray  # landings that the grid took; every other pair of it equals one of them
 
 
 class Impulses:

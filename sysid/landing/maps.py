@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,24 +22,20 @@ from sysid.types import BoolArray, FloatArray
 
 Fleets = Sequence[Sequence[Drone]]
 
-# Touchdown speeds of a summary [m/s].
+# Touchdown speeds of a summary of more than four [m/s], where the map has them; else four of its own.
 _USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """What every map states: S sets by name on a surface under a controller.
-
-    `controller` is its label, `law` its name, whatever triggers it. The cells lie over slope (n,) [deg] and
-    touchdown speed (m,) [m/s].
-    """
+    """A map of S sets by name on a surface under a controller, over slope and touchdown speed."""
 
     surface: str
-    controller: str
+    controller: str  # label of the controller
     sets: tuple[str, ...]
-    slopes_deg: FloatArray
-    speeds: FloatArray
-    law: str = field(default="", kw_only=True)
+    slopes_deg: FloatArray  # (n,)
+    speeds: FloatArray  # (m,) [m/s]
+    law: str = field(default="", kw_only=True)  # name of the controller, whatever triggers it
 
     @property
     def title(self) -> str:
@@ -47,24 +43,31 @@ class CellMap:
         return f"{self.surface.upper()}, {self.controller}"
 
 
+class MapSummary(TypedDict):
+    """A map in a few numbers."""
+
+    surface: str
+    controller: str
+    sets: int
+    cells: dict[str, int]  # number of cells by likeliest class
+    speeds: list[float]  # touchdown speeds [m/s] of the next two
+    steepest_deg: list[float]  # slopes up to which half of the sets land
+    at_edge: list[bool]  # whether that slope is the map's last one, and a lower bound
+    mean_time: float  # over the cells on which half of the sets land [s]
+    mean_distance: float  # over the same cells [m]
+    uncertain: float | None  # share of all landings [1]; None: untried
+    lost: int  # landings that could not be simulated
+    real_landings: NotRequired[dict[str, object]]
+
+
 @dataclass(frozen=True, eq=False)
 class LandingMap(CellMap):
-    """How landings end in every cell of a `CellMap`.
+    """How landings end in every cell of a `CellMap`; arrays are (S, n, m)."""
 
-    Parameters
-    ----------
-    outcome : (S, n, m) int8 array
-        `Outcome` codes.
-    distance, time : (S, n, m) arrays
-        Displacement down the slope [m] and time to rest [s], NaN where it did not come to rest.
-    uncertain : (S, n, m) bool array
-        Whether half the tolerance changes the class; says nothing where that was not `checked`.
-    """
-
-    outcome: NDArray[np.int8]
-    distance: FloatArray
-    time: FloatArray
-    uncertain: BoolArray
+    outcome: NDArray[np.int8]  # `Outcome` codes
+    distance: FloatArray  # displacement down the slope [m]; NaN: not at rest
+    time: FloatArray  # time to rest [s]; NaN: not at rest
+    uncertain: BoolArray  # whether half the tolerance changes the class, where that was `checked`
     checked: bool = field(default=True, kw_only=True)
 
     def share(self, outcome: Outcome) -> FloatArray:
@@ -110,20 +113,16 @@ class LandingMap(CellMap):
         last = (fails[0] if len(fails) else len(column)) - 1
         return float(self.slopes_deg[last]) if last >= 0 else float("nan")
 
-    def summary(self) -> dict[str, Any]:
-        """Return the map in a few numbers, ready for JSON.
-
-        ``cells`` counts the cells by likeliest class. Half of the sets land up to ``steepest_deg`` at the
-        ``speeds``, which is a lower bound where it is ``at_edge`` of the map. The means are over the cells
-        on which half of the sets land. ``uncertain`` is a share of all landings [1], None where untried.
-        """
+    def summary(self) -> MapSummary:
+        """Return the map in a few numbers, ready for JSON."""
         classes, counts = np.unique(self.likeliest, return_counts=True)
-        speeds = self._summary_speeds()
+        speeds = self.speeds.tolist()
+        if len(speeds) > 4:
+            usual = [speed for speed in _USUAL_SPEEDS if (abs(self.speeds - speed) < 1e-9).any()]
+            spaced = np.unique(np.linspace(0, len(self.speeds) - 1, 4).round().astype(int))
+            speeds = usual or self.speeds[spaced].tolist()
         steepest = [self.steepest(speed) for speed in speeds]
-        means = {}
-        for name, values in (("mean_time", self.mean_time), ("mean_distance", self.mean_distance)):
-            chosen = values[(self.landed >= 0.5) & np.isfinite(values)]
-            means[name] = float(chosen.mean()) if len(chosen) else float("nan")
+        chosen = (self.landed >= 0.5) & np.isfinite(self.mean_time)
         return {
             "surface": self.surface,
             "controller": self.controller,
@@ -132,18 +131,11 @@ class LandingMap(CellMap):
             "speeds": speeds,
             "steepest_deg": steepest,
             "at_edge": [slope == float(self.slopes_deg[-1]) for slope in steepest],
-            **means,
+            "mean_time": float(self.mean_time[chosen].mean()) if chosen.any() else float("nan"),
+            "mean_distance": float(self.mean_distance[chosen].mean()) if chosen.any() else float("nan"),
             "uncertain": float(self.uncertain.mean()) if self.checked else None,
             "lost": int(np.sum(self.outcome == Outcome.LOST)),
         }
-
-    def _summary_speeds(self) -> list[float]:
-        """Speeds [m/s] of a summary: all of up to four, else the usual speeds that the map has, else four."""
-        if len(self.speeds) <= 4:
-            return self.speeds.tolist()
-        usual = [speed for speed in _USUAL_SPEEDS if (abs(self.speeds - speed) < 1e-9).any()]
-        spaced = np.unique(np.linspace(0, len(self.speeds) - 1, 4).round().astype(int))
-        return usual or self.speeds[spaced].tolist()
 
 
 def cell_edges(centres: FloatArray) -> FloatArray:
@@ -245,7 +237,9 @@ def columns_of_fleets(
     ]
 
 
-def map_identity(fleets: Fleets, controllers: Sequence[Controller], *settings: MapSettings) -> dict[str, Any]:
+def map_identity(
+    fleets: Fleets, controllers: Sequence[Controller], *settings: MapSettings
+) -> dict[str, object]:
     """Return what must be equal for unfinished maps to be continued."""
     return {
         "version_of_sysid": __version__,

@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,8 @@ from sysid.landing.maps import LandingMap, nearest_cell
 from sysid.landing.outcomes import OUTCOMES, Outcome
 
 COLUMNS = ("surface", "controller", "slope [deg]", "speed [m/s]", "outcome")
-# What a table may call an outcome, and the classes that agree with it: a board of 45 cm cannot tell a drone
-# that left it and came to rest later from one that flipped.
+# Words of a table for an outcome, and the classes that agree with each: a board of 45 cm cannot tell a drone
+# that left the board and came to rest later from one that flipped.
 WORDS: dict[str, tuple[Outcome, ...]] = {
     "short": (Outcome.SHORT,),
     "near": (Outcome.NEAR,),
@@ -29,41 +28,33 @@ WORDS: dict[str, tuple[Outcome, ...]] = {
     "landed": (Outcome.SHORT,),
     "failed": (Outcome.NEAR, Outcome.FLIPPED, Outcome.OTHER),
 }
-# What a table may call a surface.
+# Words of a table for a surface.
 SURFACE_WORDS = {"low friction": "lf", "low": "lf", "high friction": "hf", "high": "hf"}
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One landing of a real drone, at a slope [deg] and a vertical touchdown speed [m/s].
+    """One landing of a real drone."""
 
-    Surface and controller are as the map calls them; the controller's name is enough, whatever triggers it.
-    The outcome is one of `WORDS`.
-    """
-
-    surface: str
-    controller: str
+    surface: str  # as the map calls it
+    controller: str  # as the map calls it, or its name alone, whatever triggers it
     slope_deg: float
-    speed: float
-    outcome: str
+    speed: float  # vertical touchdown speed [m/s]
+    outcome: str  # one of `WORDS`
 
 
 @dataclass(frozen=True, eq=False)
 class Confusion:
-    """Observed against simulated on one map.
+    """Observed against simulated on one map."""
 
-    `counts` (n, 4) are landings by observed word and likeliest simulated class (`OUTCOMES`). The cell of
-    `agreeing` ones agrees with what was observed. Landings `outside` the map, and in cells that were `lost`
-    to the simulation, are counted nowhere else.
-    """
-
-    words: tuple[str, ...]
-    counts: NDArray[np.int64]
-    agreeing: int
+    words: tuple[str, ...]  # n observed outcomes
+    counts: NDArray[np.int64]  # (n, 4) landings by observed word and likeliest simulated class (`OUTCOMES`)
+    agreeing: int  # landings whose cell agrees with what was observed
+    # Landings off the map, and landings in cells that the simulation lost: both are counted nowhere else.
     outside: int
     lost: int = 0
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return the counts by observed outcome and simulated class, and the totals, ready for JSON."""
         names = [outcome.name.lower() for outcome in OUTCOMES]
         counts = {
@@ -129,11 +120,8 @@ def strangers(
 
 def _belongs(experiment: Experiment, surface: str, *names: str) -> bool:
     """Say whether an experiment is one of a map; a real drone names neither its trigger nor its motors."""
-    return experiment.surface == surface and _plain(experiment.controller) in map(_plain, names)
-
-
-def _plain(name: str) -> str:
-    return "".join(name.lower().split())
+    stated, *known = ("".join(name.lower().split()) for name in (experiment.controller, *names))
+    return experiment.surface == surface and stated in known
 
 
 def confusion(experiments: Sequence[Experiment], landings: LandingMap) -> Confusion:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,32 +43,31 @@ HISTORY = (
     "rear_normal_force [N]", "front_normal_force [N]", "rear_friction [N]", "front_friction [N]",
     "rear_thrust [N]", "front_thrust [N]",
 )  # fmt: skip
-EVENT = ("time", "event", "of")
 # Upward unit vector of the frame N (x, z): at rest an accelerometer reads gravity along it.
-_GRAVITY = np.array([0.0, 1.0])
+_UP = np.array([0.0, 1.0])
 _FAILED = (Status.STEP_COLLAPSED, Status.TOO_EXPENSIVE, Status.BLEW_UP)
 
 
 @dataclass(frozen=True, eq=False)
 class Landings:
-    """What became of n landings.
+    """What became of n landings; arrays are (n,), times [s] count from touchdown, NaN: never."""
 
-    Parameters
-    ----------
-    outcome : (n,) int8 array
-        `Outcome` codes.
-    distance : (n,) array
-        Displacement of the body's centre of mass down the slope from touchdown to rest, flip or the horizon
-        [m].
-    time, flip, trigger : (n,) arrays
-        From touchdown until it came to rest, flipped, and the controller began [s]; NaN where it never did.
-    """
-
-    outcome: NDArray[np.int8]
-    distance: FloatArray
-    time: FloatArray
+    outcome: NDArray[np.int8]  # `Outcome` codes
+    distance: FloatArray  # way of the centre of mass down the slope to rest, flip or the horizon [m]
+    time: FloatArray  # of the rest
     flip: FloatArray
-    trigger: FloatArray
+    trigger: FloatArray  # of the controller's beginning
+
+
+class EventRow(TypedDict):
+    """Time since touchdown [s], kind and place of an event."""
+
+    time: float
+    event: str
+    of: str
+
+
+EVENT = tuple(EventRow.__annotations__)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,11 +112,11 @@ class Landing(Shown):
         return pd.DataFrame(self.samples, columns=HISTORY).set_index(HISTORY[0])
 
     @property
-    def event_rows(self) -> list[dict[str, Any]]:
-        """Time [s], kind and place of every event, in the order of time."""
+    def event_rows(self) -> list[EventRow]:
+        """The events in the order of time."""
         events = [(self.trigger, "trigger", "body")] if math.isfinite(self.trigger) else []
         events += [(event.time, event.kind.name.lower(), event.foot) for event in self.trajectory.events]
-        return [dict(zip(EVENT, event, strict=True)) for event in sorted(events)]
+        return [{"time": time, "event": kind, "of": place} for time, kind, place in sorted(events)]
 
     @property
     def events(self) -> pd.DataFrame:
@@ -322,7 +321,7 @@ def specific_force(states: FloatArray, rate: float, drone: Drone) -> FloatArray:
     hovering flight.
     """
     gravity = drone.value("gravity")
-    push = np.vstack([np.zeros(2), np.diff(states[:, 3:5], axis=0) * rate]) + gravity * _GRAVITY
+    push = np.vstack([np.zeros(2), np.diff(states[:, 3:5], axis=0) * rate]) + gravity * _UP
     c, s = np.cos(states[:, 2]), np.sin(states[:, 2])
     read = np.column_stack([c * push[:, 0] - s * push[:, 1], s * push[:, 0] + c * push[:, 1]])
-    return np.where(np.isfinite(read), read, gravity * _GRAVITY)
+    return np.where(np.isfinite(read), read, gravity * _UP)

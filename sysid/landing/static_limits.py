@@ -46,12 +46,7 @@ from typing import Literal
 import numpy as np
 
 from sysid.errors import CampaignError
-from sysid.gear.model import (
-    PARAMETERS,
-    Drops,
-    pack,
-    simulate_population,
-)
+from sysid.gear.model import PARAMETERS, Drops, pack, simulate_population
 from sysid.gear.propulsion import Propulsion
 from sysid.gear.surfaces import Surface, find_surface
 from sysid.integrate.piecewise import PiecewiseCubic
@@ -61,8 +56,8 @@ from sysid.landing.simulate import ending_of
 
 How = Literal["slides", "tips", "stays"]
 
+# Slope of a wall [rad].
 VERTICAL = math.pi / 2
-
 # Step between the slopes on which a drone is set down at once [rad].
 _PUT = math.radians(0.5)
 
@@ -77,15 +72,11 @@ class StaticLimit:
 
 @dataclass(frozen=True)
 class RigidLimits:
-    """Closed forms for rigid legs: slopes [rad] at which the drone slides and tips, 90 deg if it never does.
-
-    On a surface that never sticks, `creep` is the slope at which it creeps at a given speed; elsewhere it is
-    the slide limit.
-    """
+    """Slopes [rad] at which a drone with rigid legs slides and tips, in closed form; 90 deg if never."""
 
     slide: float
     tip: float
-    creep: float
+    creep: float  # slope of creep at a given speed on a surface that never sticks; elsewhere `slide`
 
     @property
     def first(self) -> StaticLimit:
@@ -138,7 +129,8 @@ def rigid_limits(
     """
     law = find_surface(surface)
     p = _Rig.of(gear, law, reverse_thrust)
-    kinetic, static = _friction(p.values, law)
+    kinetic = p.values[law.reads[0]]
+    static = kinetic + p.values[law.reads[1]] if law.switching else kinetic
     creep = slide = slide_limit(static, p.ratio)
     if not law.switching and "slip_regularization" in law.reads:
         share = creep_speed / (creep_speed + p.values["slip_regularization"])
@@ -184,12 +176,6 @@ def set_down_limit(
         )
     leaves: How = "tips" if np.isfinite(flown.flip[0][first]) else "slides"
     return StaticLimit(float(slopes[first]) - 0.5 * _PUT, leaves)
-
-
-def _friction(values: Mapping[str, float], surface: Surface) -> tuple[float, float]:
-    """Kinetic and static coefficient of a surface, from the rows that its law declares."""
-    kinetic = values[surface.reads[0]]
-    return kinetic, kinetic + values[surface.reads[1]] if surface.switching else kinetic
 
 
 @dataclass(frozen=True)

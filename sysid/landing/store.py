@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from sysid.errors import ExportError
@@ -25,12 +26,12 @@ _CODES = ", ".join(f"{outcome.value}: {outcome.text}" for outcome in Outcome)
 
 @dataclass(frozen=True, eq=False)
 class MapFile:
-    """Content of a file: settings are grid, rules, tolerance, controllers; provenance is sets, versions."""
+    """Content of a file of maps."""
 
     maps: tuple[LandingMap, ...]
     impulses: tuple[ImpulseMap, ...]
-    settings: Mapping[str, Any]
-    provenance: Mapping[str, Any]
+    settings: Mapping[str, Any]  # grid, rules, tolerance, controllers
+    provenance: Mapping[str, Any]  # sets, versions
 
 
 def write_maps(path: Path, content: MapFile) -> Path:
@@ -39,7 +40,7 @@ def write_maps(path: Path, content: MapFile) -> Path:
     return path
 
 
-def _put_maps(file: Any, content: MapFile) -> None:
+def _put_maps(file: h5py.File, content: MapFile) -> None:
     cells, means = "set, slope, speed", "slope, speed"
     put_json(file, "settings_json", content.settings)
     put_json(file, "provenance_json", content.provenance)
@@ -64,7 +65,7 @@ def _put_maps(file: Any, content: MapFile) -> None:
             put(group, f"sigma_{name}", best.sigma(name), means, UNITS[name])
 
 
-def _group(file: Any, name: str, cells: CellMap) -> Any:
+def _group(file: h5py.File, name: str, cells: CellMap) -> h5py.Group:
     group = file.create_group(name)
     group.attrs["surface"], group.attrs["controller"] = cells.surface, cells.controller
     put_texts(group, "sets", cells.sets)
@@ -78,15 +79,19 @@ def read_maps(path: Path) -> MapFile:
     with MAPS.opened(path) as file:
         settings, provenance = (get_json(file, f"{name}_json") for name in ("settings", "provenance"))
         maps = tuple(map(_landings, numbered(file, "maps")))
-        return MapFile(maps, tuple(map(_impulses, numbered(file, "impulses"))), settings, provenance)
+        impulses = tuple(
+            ImpulseMap(*_head(group), {name: group[name][()] for name in UNITS})
+            for group in numbered(file, "impulses")
+        )
+        return MapFile(maps, impulses, settings, provenance)
 
 
-def _head(group: Any) -> tuple[str, str, tuple[str, ...], FloatArray, FloatArray]:
+def _head(group: h5py.Group) -> tuple[str, str, tuple[str, ...], FloatArray, FloatArray]:
     surface, controller = str(group.attrs["surface"]), str(group.attrs["controller"])
     return surface, controller, tuple(get_texts(group, "sets")), group["slope"][()], group["speed"][()]
 
 
-def _landings(group: Any) -> LandingMap:
+def _landings(group: h5py.Group) -> LandingMap:
     outcome, distance, time = (group[name][()] for name in ("outcome", "distance", "time"))
     checked = bool(group.attrs["checked"])
     uncertain = group["uncertain"][()] if checked else outcome < 0
@@ -94,17 +99,13 @@ def _landings(group: Any) -> LandingMap:
     return LandingMap(*_head(group), outcome, distance, time, uncertain, **more)  # type: ignore[arg-type]
 
 
-def _impulses(group: Any) -> ImpulseMap:
-    return ImpulseMap(*_head(group), {name: group[name][()] for name in UNITS})
-
-
-def write_study(path: Path, study: DesignStudy, provenance: Mapping[str, Any]) -> Path:
+def write_study(path: Path, study: DesignStudy, provenance: Mapping[str, object]) -> Path:
     """Write the file whole or not at all; raises `ExportError` where it cannot be written."""
     write_file(path, STUDY.content(lambda file: _put_study(file, study, provenance)), ExportError)
     return path
 
 
-def _put_study(file: Any, study: DesignStudy, provenance: Mapping[str, Any]) -> None:
+def _put_study(file: h5py.File, study: DesignStudy, provenance: Mapping[str, object]) -> None:
     settings = study.settings
     file.attrs["name"], file.attrs["controller"] = study.name, study.controller
     document = {

@@ -20,10 +20,11 @@ from sysid.trust.problem import trial_rows
 from sysid.trust.verdicts import WEAKLY
 from sysid.types import FloatArray
 
-# A trial whose NRMSE over noise exceeds the median by this factor does not belong to the others.
+# NRMSE over noise, in medians of the trials, of a trial that does not belong to the others [1].
 STANDS_OUT = 2.0
-# One trial less moves a parameter by about its own standard deviation. Of twenty synthetic campaigns (seeds
-# 1001 to 1020) the one whose fit was wrong moved by 6.4, the farthest of the others by 4.1, the next by 3.3.
+# Least move of a parameter that hangs on one trial [standard deviations]; one trial less moves it by about
+# one. Among twenty synthetic campaigns (seeds 1001 to 1020) the one whose fit was wrong moved by 6.4, the
+# farthest of the others by 4.1, the next by 3.3.
 HANGS = 4.5
 # Least share of the variance without a trial that its loss explains [1]: the weighting of the trials hides
 # smaller differences.
@@ -40,18 +41,14 @@ def standing_out(ratio: FloatArray) -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """What the trials of a fit do to it.
+    """What the T trials of a fit do to it."""
 
-    `ratio` (T,) is the NRMSE of each over what noise alone costs [1]. `without` (T, n) are the parameters of
-    the fit without it [unit cube], NaN where that fit did not succeed. `shift` (T, n) is how far they move,
-    in standard deviations of what one trial less explains [1], 0 for parameters that the data do not
-    determine. The fits simulated `evaluations` points.
-    """
-
-    ratio: FloatArray
-    without: FloatArray
+    ratio: FloatArray  # (T,) NRMSE over what noise alone costs [1]
+    without: FloatArray  # (T, n) parameters of the fit without the trial [unit cube]; NaN: no such fit
+    # (T, n) how far they move, in standard deviations of what one trial less explains [1]; 0 for parameters
+    # that the data do not determine.
     shift: FloatArray
-    evaluations: int = 0
+    evaluations: int = 0  # points that those fits simulated
 
     @property
     def outliers(self) -> tuple[int, ...]:

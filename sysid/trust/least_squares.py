@@ -18,32 +18,20 @@ from sysid.fit.least_squares import Fronts, descend, drive
 from sysid.fit.problem import Problem
 from sysid.types import BoolArray, FloatArray
 
-# Residuals in memory at once [bytes].
+# Largest memory of the residuals at once [bytes].
 _MEMORY = 256e6
-# A front in CMA-ES: population, generations.
+# Population and generations of CMA-ES around a front.
 _POPULATION, _GENERATIONS = 12, 16
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Where the fronts ended.
+    """Where the F fronts ended."""
 
-    Parameters
-    ----------
-    points : (F, n) array
-        In the unit cube.
-    squares : (F,) array
-        Sum of squares of the weighted residuals.
-    converged : (F,) bool array
-        False where the last step still took more off than the tolerance.
-    evaluations : int
-        Points that were simulated.
-    """
-
-    points: FloatArray
-    squares: FloatArray
-    converged: BoolArray
-    evaluations: int
+    points: FloatArray  # (F, n) [unit cube]
+    squares: FloatArray  # (F,) sums of squares of the weighted residuals
+    converged: BoolArray  # (F,) False where the last step still took more off than the tolerance
+    evaluations: int  # points that were simulated
 
 
 def solve(

@@ -31,15 +31,17 @@ from sysid.types import FloatArray
 
 # Standard normal beyond which 5 % lie, on both sides together.
 NORMAL_95 = 1.959964
-# Chi-square of one degree of freedom.
+# Chi-square of one degree of freedom by its share.
 CHI2 = {0.68: 0.988946, 0.95: 3.841459}
-# A uniform density over the unit cube's edge has the variance 1/12.
+# Inverse of the variance of a uniform density over the unit cube's edge.
 _OF_BOUNDS = 12.0
-# Within this of a bound a parameter is at it; a deviation of this share of the range's is the range's [1].
-_AT_BOUND, _UNSEEN = 0.01, 0.9
+# Largest distance from a bound of a parameter that is at the bound [unit cube].
+_AT_BOUND = 0.01
+# Least deviation of a parameter that the data do not see, over the deviation of its range [1].
+_UNSEEN = 0.9
 # Share of a parameter's deviance 1 to which a sum of squares is minimized [1].
 _TOLERANCE = 0.02
-# Partners are named from this correlation on.
+# Least correlation of parameters that trade with each other [1].
 PARTNER = 0.8
 # Correlation that counts as none, in its standard errors (Politis 2003), over this number of lags in a row.
 _NEGLIGIBLE, _IN_A_ROW = 2.0, 5
@@ -47,16 +49,13 @@ _NEGLIGIBLE, _IN_A_ROW = 2.0, 5
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Linearized uncertainty at one point, in the unit cube.
+    """Linearized uncertainty at one point, in the unit cube."""
 
-    `curvature` H, `gradient_noise` V and the `covariance` of the minimum, the bounds included, are (n, n).
-    The drop of the cost along a parameter's profile exceeds chi-square by the factor `inflation` (n,), which
-    is ``(H⁻¹VH⁻¹)_ii/(H⁻¹)_ii`` (Kent 1982).
-    """
-
-    curvature: FloatArray
-    gradient_noise: FloatArray
-    covariance: FloatArray
+    curvature: FloatArray  # (n, n) H
+    gradient_noise: FloatArray  # (n, n) V
+    covariance: FloatArray  # (n, n) of the minimum, the bounds included
+    # (n,) factor by which the drop of the cost along a parameter's profile exceeds chi-square,
+    # ``(H⁻¹VH⁻¹)_ii/(H⁻¹)_ii`` (Kent 1982).
     inflation: FloatArray
 
     @property
@@ -83,19 +82,15 @@ class Information:
 
 @dataclass(frozen=True, eq=False)
 class Linearized:
-    """What noise leaves open at one `point` (n,) of the unit cube.
+    """What noise leaves open at one point."""
 
-    `levels` (B,) are the NRMSE of every block [1], `scale` (m,) the weights of the residuals, `half_widths`
-    (n,) relative, 95 % [1].
-    """
-
-    point: FloatArray
-    levels: FloatArray
-    scale: FloatArray
+    point: FloatArray  # (n,) [unit cube]
+    levels: FloatArray  # (B,) NRMSE of every block [1]
+    scale: FloatArray  # (m,) weights of the residuals
     jacobian: Jacobian
     noise: NoiseModel
     information: Information
-    half_widths: FloatArray
+    half_widths: FloatArray  # (n,) relative, 95 % [1]
 
     @property
     def tolerance(self) -> float:

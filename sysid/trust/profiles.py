@@ -23,46 +23,36 @@ from sysid.types import FloatArray
 
 # Square roots of the deviance that the points of a profile aim at.
 _AIMS = (0.5, 1.0, 1.5, 1.96, 2.5)
-# A profile ends when its deviance exceeds this, or at a bound.
+# Deviance beyond which a profile ends.
 _ENOUGH = 4.6
+# Largest number of points on a side.
 _MOST_POINTS = 14
-# Largest step between two points [unit cube]; factor by which steps grow in a flat valley [1].
-_FARTHEST, _STRETCH = 0.15, 2.0
-# A point this much above both of its neighbours is a bump of a rough cost, not a valley's wall [deviance].
+# Largest step between two points [unit cube].
+_FARTHEST = 0.15
+# Factor by which steps grow in a flat valley [1].
+_STRETCH = 2.0
+# Least rise over the last point that is a bump of a rough cost, not a valley's wall [deviance].
 _BUMP = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Deviance over one parameter, all others fitted.
+    """Deviance over one parameter at k points, all others fitted.
 
-    Parameters
-    ----------
-    values, deviance : (k,) arrays
-        Of the parameter, ascending [SI]; chi-square with one degree of freedom where the value is true [1].
-    others : (k, n) array
-        All free parameters at each point, in the order of the space [SI].
-    best : float
-        Where the deviance is 0 [SI].
-    interval_68, interval_95 : (float, float)
-        Ends of the intervals [SI]; a bound of the search where open.
-    open_68, open_95 : (bool, bool)
-        Whether the lower and the upper end are open: the data do not end the interval inside the bounds.
-    rough : int
-        Points whose least cost CMA-ES found, because derivatives led nowhere.
+    An interval is open at an end where the data do not end it inside the bounds of the search.
     """
 
     name: str
     unit: str
-    values: FloatArray
-    deviance: FloatArray
-    others: FloatArray
-    best: float
-    interval_68: tuple[float, float]
+    values: FloatArray  # (k,) of the parameter, ascending [SI]
+    deviance: FloatArray  # (k,) chi-square with one degree of freedom where the value is true [1]
+    others: FloatArray  # (k, n) all free parameters at each point, in the order of the space [SI]
+    best: float  # value of deviance 0 [SI]
+    interval_68: tuple[float, float]  # [SI]; a bound of the search where open
     interval_95: tuple[float, float]
     open_68: tuple[bool, bool]
     open_95: tuple[bool, bool]
-    rough: int
+    rough: int  # points whose least cost CMA-ES found, because derivatives led nowhere
 
     @property
     def half_width(self) -> float:
