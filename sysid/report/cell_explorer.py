@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sysid.landing.maps import cell_edges
-from sysid.landing.outcomes import Outcome, Rules
+from sysid.landing.outcomes import Rules
 from sysid.report.html import Html, filled
-from sysid.report.landing_figures import COLOURS, LOST_COLOUR
+from sysid.report.landing_figures import COLOURS, class_words
 from sysid.report.plots import embedded
 from sysid.types import BoolArray, FloatArray
 
@@ -85,23 +85,12 @@ class CellChart:
         }  # fmt: skip
 
 
-def class_words(rules: Rules) -> dict[Outcome, str]:
-    """Return what each class means, with the distances of the rules."""
-    return {
-        Outcome.SHORT: f"at rest within {100 * rules.short:g} cm",
-        Outcome.NEAR: f"at rest within {rules.long:g} m",
-        Outcome.FLIPPED: f"flipped within {rules.long:g} m (A)",
-        Outcome.OTHER: f"still moving, or beyond {rules.long:g} m (B)",
-        Outcome.LOST: "the simulation failed",
-    }
-
-
 def explorer(charts: Sequence[CellChart], rules: Rules, notes: Sequence[str] = ()) -> Html:
     """Return charts to choose from, whose cells pointer, touch and keys read; `notes` stand below."""
     document = {
         "charts": [chart.document() for chart in charts],
-        "colours": [COLOURS.get(outcome, LOST_COLOUR) for outcome in Outcome],
-        "words": list(class_words(rules).values()),
+        "colours": list(COLOURS.values()),
+        "words": list(class_words(rules.short, rules.long).values()),
         "long": f"{rules.long:g} m",
     }
     titles = [chart.title for chart in charts]

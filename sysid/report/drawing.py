@@ -19,7 +19,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from sysid.errors import ExportError
 from sysid.fit.result import FitResult
@@ -75,7 +75,8 @@ def panel(height: float, width: float = WIDTH, *, grid: bool = True, **rows: Any
     """Return a figure [in] and its axes: one, or as many as `rows` says to `Figure.subplots`."""
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots(**rows)
-    _draw_grid(figure.axes if grid else ())
+    for each in figure.axes if grid else ():
+        draw_grid(each)
     return figure, axes
 
 
@@ -90,6 +91,12 @@ def panels(
     for axes in every.flat[count:]:
         axes.set_visible(False)
     return figure, every.ravel().tolist()[:count]
+
+
+def draw_grid(axes: Axes) -> None:
+    """Draw a pale grid behind the curves."""
+    axes.grid(True, color="0.92")
+    axes.set_axisbelow(True)
 
 
 def draw_legend(figure: Figure, entries: Iterable[Entry], place: Any, ncols: int, **look: Any) -> None:
@@ -127,19 +134,6 @@ def paper(pad: float, **look: Any) -> dict[str, Any]:
     return {"facecolor": "white", "edgecolor": "none", "pad": pad} | look
 
 
-def tidy(*panels: Axes) -> None:
-    """Draw a pale grid behind the curves, with few ticks upwards."""
-    for axes in panels:
-        axes.yaxis.set_major_locator(MaxNLocator(4))
-    _draw_grid(panels)
-
-
-def _draw_grid(panels: Iterable[Axes]) -> None:
-    for axes in panels:
-        axes.grid(True, color="0.92")
-        axes.set_axisbelow(True)
-
-
 def peaks(curves: Sequence[FloatArray], points: int) -> IntArray:
     """Return which `points` at most of curves (n,) look like all: least and largest of every stretch."""
     count = len(curves[0])
@@ -158,11 +152,6 @@ def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tupl
     """Return a curve (k,) that looks like one (n,) with few points."""
     kept = peaks([values], points)
     return time[kept], values[kept]
-
-
-def cut_to(name: str, longest: int) -> str:
-    """Return a name cut to `longest` characters, such as a title that must not reach into the next."""
-    return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
 def as_math(symbol: str) -> str:

@@ -39,12 +39,14 @@ from sysid.report.fit_figures import (
     Bars,
     figure_convergence,
     figure_correlation,
+    figure_measured_against_simulated,
     figure_profile,
     figure_spectrum,
     figure_spread,
     figure_waterfall,
     filter_gain,
     trial_means,
+    trial_view,
 )
 from sysid.report.html import (
     NOTHING,
@@ -65,7 +67,6 @@ from sysid.report.html import (
 from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_table
 from sysid.report.plots import Panel, View, figure_of, interactive
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
-from sysid.report.traces import figure_measured_against_simulated, trial_view
 from sysid.report.trust_tables import narrow_table, validation_table
 from sysid.trust import documents
 from sysid.trust.documents import (

@@ -10,14 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from sysid.recording import COMPONENTS, BoolArray, Channel, FloatArray, Recording
-from sysid.report.drawing import BEST, MEASURED, RUNS, cut_to, paper
+from sysid.recording import COMPONENTS, Channel, Recording
+from sysid.report.drawing import BEST, MEASURED, RUNS, paper
 from sysid.trials.look import LogReport
 
 # Channels that tell most about a bench log, first; of other logs the first ones.
 _FIRST = ("command", "speed", "thrust", "torque", "voltage", "current")
-_MOST_ROWS = 6
-_MOST_POINTS = 20_000
+# Greatest number of drawn channels of a log, and of drawn points of a channel.
+_MOST_ROWS, _MOST_POINTS = 6, 20_000
+# Longest name of a file in a title [characters].
+_LONGEST = 60
 
 
 def _chosen(recording: Recording, report: LogReport) -> list[Channel]:
@@ -34,12 +36,6 @@ def _chosen(recording: Recording, report: LogReport) -> list[Channel]:
     return [channels[name] for name in names if name in channels][:_MOST_ROWS]
 
 
-def _lone(values: FloatArray) -> BoolArray:
-    """Return which samples stand between two blanks."""
-    seen = np.concatenate([[False], np.isfinite(values), [False]])
-    return np.asarray(seen[1:-1] & ~seen[:-2] & ~seen[2:], dtype=np.bool_)
-
-
 def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> None:
     step = max(1, channel.time.size // _MOST_POINTS)
     time = channel.time[::step]
@@ -52,7 +48,8 @@ def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> N
         colour = MEASURED if columns.shape[1] == 1 else RUNS[i]
         label = labels[i] if labels else None
         axes.plot(time, columns[:, i], color=colour, label=label, rasterized=True, **style)
-        lone = _lone(columns[:, i])
+        present = np.pad(np.isfinite(columns[:, i]), 1)
+        lone = present[1:-1] & ~present[:-2] & ~present[2:]
         if lone.any() and not points:  # a line does not show a sample between two blanks
             axes.plot(time[lone], columns[lone, i], ".", color=colour, markersize=3.0, rasterized=True)
     if points:
@@ -91,8 +88,9 @@ def figure_logs(recordings: Sequence[Recording], reports: Sequence[LogReport]) -
                 axes.sharex(shared)
             shared = shared or axes
             if place == 0:
-                title = cut_to(Path(report.path).name, 60)
-                axes.set_title(f"{title} ({report.kind})", fontsize="medium", loc="left")
+                name = Path(report.path).name
+                short = name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
+                axes.set_title(f"{short} ({report.kind})", fontsize="medium", loc="left")
             if report.drop is not None and falls:
                 for word, at in (("release", report.drop.release), ("touchdown", report.drop.touchdown)):
                     if at is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,15 +29,17 @@ COLOURS: dict[Outcome, str] = {
     Outcome.NEAR: "#E69F00",
     Outcome.FLIPPED: "#999999",
     Outcome.OTHER: "#FFFFFF",
+    Outcome.LOST: "#CC79A7",
 }
+# Contour levels of the mean distance [m] and of the mean time [s].
 _DISTANCES = (0.1, 0.2, 0.45, 1.0)
 _TIMES = (0.5, 1.0, 2.0)
 _DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", BEST
 # Line styles that no contour has.
 _LIMIT_STYLES = {"rigid": "dashdot", "bending": "dotted"}
 _TIME_STYLE = (0, (4, 2))
-# Every set lost; and slopes above the map.
-LOST_COLOUR, _BEYOND_COLOUR = "#CC79A7", "#F2F2F2"
+# Slopes above the map.
+_BEYOND: dict[str, Any] = {"facecolor": "#F2F2F2", "hatch": "////", "edgecolor": "#BBBBBB", "linewidth": 0.0}
 # Room above the steepest slope of a map, for static limits that lie a little higher [deg].
 _ROOM = 6.0
 # Least distance of a contour's label from other labels, and from the edges, in widths of the axes.
@@ -103,10 +105,15 @@ class MapLegend:
         return sorted(out, key=lambda entry: entry[1] != "area")
 
 
-def drawn_limits(rows: Iterable[Mapping[str, Any]]) -> dict[tuple[str, str], DrawnLimits]:
-    """Return static limits by surface and controller, from rows as a file of maps states them."""
-    fields = ("thrust", "rigid", "bending")
-    return {(row["surface"], row["controller"]): DrawnLimits(*(row[f] for f in fields)) for row in rows}
+def class_words(short: float, long: float) -> dict[Outcome, str]:
+    """Return what each class means, with the distances that divide the classes [m]."""
+    return {
+        Outcome.SHORT: f"at rest within {100 * short:g} cm",
+        Outcome.NEAR: f"at rest within {long:g} m",
+        Outcome.FLIPPED: f"A: flipped within {long:g} m",
+        Outcome.OTHER: f"B: still moving, or beyond {long:g} m",
+        Outcome.LOST: "the simulation failed",
+    }
 
 
 def figure_of_file(
@@ -123,7 +130,10 @@ def figure_of_file(
     }
     return figure_landing_maps(
         content.maps if only is None else (only,),
-        limits=drawn_limits(settings["static_limits"]),
+        limits={
+            (row.pop("surface"), row.pop("controller")): DrawnLimits(**row)
+            for row in map(dict, settings["static_limits"])
+        },
         experiments=[Experiment(**row) for row in settings.get("real_landings", ())],
         short=settings["rules"]["short"],
         long=settings["rules"]["long"],
@@ -137,7 +147,6 @@ def figure_landing_maps(
     *,
     limits: Limits | None = None,
     experiments: Sequence[Experiment] = (),
-    lines: bool = True,
     short: float = 0.45,
     long: float = 1.0,
     legend: MapLegend | None = None,
@@ -146,8 +155,8 @@ def figure_landing_maps(
     """Draw maps: a row per surface, a column per controller.
 
     The colour is the mean of the classes' colours, weighted with the share of the sets. Dots mark cells in
-    which half the tolerance changes the class of a set. Slopes above a map, for limits a little higher, are
-    hatched.
+    which half the tolerance changes the class of a set. Contours are drawn where at least half of the sets
+    land. Slopes above a map, for limits a little higher, are hatched.
 
     Parameters
     ----------
@@ -155,8 +164,6 @@ def figure_landing_maps(
         Static limits of the surface's first set by surface and controller.
     experiments : sequence of Experiment
         Real landings, drawn where surface and controller agree.
-    lines : bool
-        Contours of mean distance and mean time, where at least half of the sets land.
     short, long : float
         Distances of the classes [m], for the legend.
     legend : MapLegend, optional
@@ -170,33 +177,43 @@ def figure_landing_maps(
     grid = figure.subplots(len(surfaces), len(columns), sharex=True, squeeze=False)
     for axes in grid.flat:
         axes.set_visible(False)
-    chosen_limits = limits or {}
-    highest = max(_top(chart, chosen_limits.get((chart.surface, chart.controller))) for chart in maps)
+    limits = limits or {}
+    # Upper end of all axes: the highest edge of a map, or a little above a limit near the edge.
+    highest = max(float(cell_edges(chart.slopes_deg)[-1]) for chart in maps)
+    drawn = [limits[key] for chart in maps if (key := (chart.surface, chart.controller)) in limits]
+    near = [slope + 1.0 for limit in drawn for slope in limit.slopes.values() if slope <= highest + _ROOM]
+    highest = max([highest, *near])
     alone = legend is None
     legend = legend or MapLegend()
-    _name_colours(legend, maps, short, long)
+    outcomes = {int(code) for chart in maps for code in np.unique(chart.outcome)} & set(OUTCOMES)
+    outcomes |= {Outcome.LOST for chart in maps if np.any(chart.likeliest == Outcome.LOST)}
+    for outcome, words in class_words(short, long).items():
+        if outcome in outcomes:
+            legend.patch(words, facecolor=COLOURS[outcome])
     for chart in maps:
         axes = grid[surfaces.index(chart.surface), columns.index(chart.controller)]
         axes.set_visible(True)
-        bounds = _mesh(axes, chart, _blend(chart))
-        axes.set_ylim(bounds[0], highest)
-        _draw_beyond(axes, bounds[1], highest, legend)
+        lowest, edge = _mesh(axes, chart, _blend(chart))
+        axes.set_ylim(lowest, highest)
+        if highest > edge + 1e-9:
+            axes.axhspan(edge, highest, **_BEYOND)
+            legend.patch("not simulated", **_BEYOND)
         _draw_uncertain(axes, chart, legend)
-        limit = chosen_limits.get((chart.surface, chart.controller))
+        limit = limits.get((chart.surface, chart.controller))
         taken = _draw_letters(axes, chart, list(limit.slopes.values()) if limit else [])
         beyond = _draw_limits(axes, limit) if limit is not None else ""
         axes.set_title(chart.title + (f"\n{beyond}" if beyond else ""), fontsize=10)
         real = of_map(experiments, chart)
         if real:
             taken += list(_relative(axes, np.array([(e.speed, e.slope_deg) for e in real])))
-        if lines and min(chart.landed.shape) > 1:
+        if min(chart.landed.shape) > 1:
             _draw_contours(axes, chart, taken, legend)
-        edge = (edges or {}).get((chart.surface, chart.controller))
-        if edge is not None and min(edge.landed.shape) > 1:
-            _draw_bound(axes, edge, legend)
+        bound = (edges or {}).get((chart.surface, chart.controller))
+        if bound is not None and min(bound.landed.shape) > 1:
+            _draw_bound(axes, bound, legend)
         _draw_experiments(axes, real, legend)
-    if chosen_limits:
-        _name_limits(legend, maps, chosen_limits, highest)
+    if limits:
+        _name_limits(legend, maps, limits, highest)
     for axes in grid[-1]:
         axes.set_xlabel("touchdown speed [m/s]")
     for axes in grid[:, 0]:
@@ -217,32 +234,11 @@ def figure_landing_maps(
     return figure
 
 
-def _top(chart: LandingMap, limits: DrawnLimits | None) -> float:
-    """Return the upper end of a map's axis [deg]: the map's edge, or a little above a limit near it."""
-    edge = float(cell_edges(chart.slopes_deg)[-1])
-    reach = [s + 1.0 for s in (limits.slopes.values() if limits else ()) if s <= edge + _ROOM]
-    return max([edge, *reach])
-
-
-def _name_colours(legend: MapLegend, maps: Sequence[LandingMap], short: float, long: float) -> None:
-    names = {
-        Outcome.SHORT: f"at rest within {100 * short:g} cm",
-        Outcome.NEAR: f"at rest within {long:g} m",
-        Outcome.FLIPPED: f"A: flipped within {long:g} m",
-        Outcome.OTHER: "B: neither",
-    }
-    for outcome, name in names.items():
-        if any(np.any(chart.outcome == outcome) for chart in maps):
-            legend.patch(name, facecolor=COLOURS[outcome])
-    if any(np.any(chart.likeliest == Outcome.LOST) for chart in maps):
-        legend.patch("every simulation failed", facecolor=LOST_COLOUR)
-
-
 def _blend(chart: LandingMap) -> FloatArray:
     image = np.zeros((*chart.landed.shape, 3))
     for outcome in OUTCOMES:
         image += np.nan_to_num(chart.share(outcome))[..., None] * np.array(to_rgb(COLOURS[outcome]))
-    image[chart.likeliest == Outcome.LOST] = to_rgb(LOST_COLOUR)
+    image[chart.likeliest == Outcome.LOST] = to_rgb(COLOURS[Outcome.LOST])
     return np.clip(image, 0.0, 1.0)
 
 
@@ -263,13 +259,6 @@ def _mesh(
     if len(chart.slopes_deg) == 1:
         axes.set_yticks(chart.slopes_deg)
     return float(up[0]), float(up[-1])
-
-
-def _draw_beyond(axes: Axes, edge: float, top: float, legend: MapLegend) -> None:
-    if top > edge + 1e-9:
-        look = {"facecolor": _BEYOND_COLOUR, "hatch": "////", "edgecolor": "#BBBBBB", "linewidth": 0.0}
-        axes.axhspan(edge, top, **look)  # type: ignore[arg-type]
-        legend.patch("not simulated", **look)
 
 
 def _draw_uncertain(axes: Axes, chart: LandingMap, legend: MapLegend) -> None:
@@ -323,7 +312,11 @@ def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legen
         )  # fmt: skip
         drawn.set_label(name)
         legend.line(name, color=colour, linestyle=style)
-        levels_pieces = [[piece for piece in pieces if _is_long(axes, piece)] for pieces in drawn.allsegs]
+        # Loops around single cells are noise: a piece must span enough to be read.
+        levels_pieces = [
+            [p for p in pieces if len(p) > 1 and np.max(np.ptp(_relative(axes, p), axis=0)) >= _INSIDE]
+            for pieces in drawn.allsegs
+        ]
         drawn.set_paths(
             [Path.make_compound_path(*(Path(piece) for piece in pieces)) for pieces in levels_pieces]
         )
@@ -347,11 +340,6 @@ def _draw_bound(axes: Axes, chart: LandingMap, legend: MapLegend) -> None:
     for row, column in np.argwhere(landed[:, 1:] != landed[:, :-1]).tolist():
         axes.plot([across[column + 1]] * 2, up[row : row + 2], **look)
     legend.line("half of the sets land with the impulse alone up to here", **look)
-
-
-def _is_long(axes: Axes, piece: FloatArray) -> bool:
-    """Whether a piece of a contour spans enough to be read; loops around single cells are noise."""
-    return len(piece) > 1 and bool(np.max(np.ptp(_relative(axes, piece), axis=0)) >= _INSIDE)
 
 
 def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatArray]) -> FloatArray | None:

@@ -33,10 +33,10 @@ from sysid.report.drawing import (
     RUNS,
     as_math,
     axis_label,
+    draw_grid,
     draw_legend,
     peaks,
     thinned,
-    tidy,
 )
 from sysid.report.html import Html, filled, joined, legend, picture
 from sysid.types import FloatArray
@@ -285,7 +285,7 @@ def _draw(axes: Axes, view: View, panel: Panel) -> None:
     size = 7 if panel.low else 8
     axes.set_title(as_math(axis_label(panel.label, panel.unit)), fontsize=size, loc="left", pad=3)
     axes.tick_params(labelsize=7)
-    tidy(axes)
+    draw_grid(axes)
     axes.yaxis.set_major_locator(MaxNLocator(2 if panel.low else 4))
 
 

@@ -10,11 +10,10 @@ from sysid import exact_json
 from sysid.errors import SysidError
 from sysid.journal import Say
 from sysid.report.drawing import save_figure
-from sysid.report.fit_figures import figure_convergence
+from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated
 from sysid.report.fold import print_table
 from sysid.report.set_tables import truth_table
 from sysid.report.table import Table
-from sysid.report.traces import figure_measured_against_simulated
 from sysid.workflows.export_models import export_sets
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.options import FitOptions

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from sysid.landing.design_study import Change, DesignStudy
+from sysid.landing.design_study import DesignStudy
 from sysid.landing.maps import LandingMap
-from sysid.landing.outcomes import Rules
+from sysid.landing.outcomes import LANDED, Rules
 from sysid.landing.store import MAPS, STUDY, MapFile, read_maps, read_study
 from sysid.marks import Flag, field_hints, mark_of
 from sysid.report.cell_explorer import CellAxis, CellChart, explorer
@@ -21,16 +21,18 @@ from sysid.report.html import (
     Html,
     definitions,
     heading,
+    in_true_colours,
     joined,
+    legend,
     markup_table,
     page,
     paragraph,
     picture,
     side_by_side,
 )
+from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file
 from sysid.report.landing_tables import gains_table, maps_table
 from sysid.types import FloatArray
-from sysid.workflows.map_pictures import file_pictures
 from sysid.workflows.reopen import shown_from_here
 
 _SLOPE, _SPEED = ("slope", "deg"), ("touchdown speed", "m/s")
@@ -53,9 +55,26 @@ def map_page(path: Path) -> str:
         f"speeds and {len(charts[0].up.values)} slopes each"
         + (f"; {lost} landings could not be simulated" if lost else "")
     )
-    figures = file_pictures(content)
     table = markup_table(maps_table([chart.summary() for chart in content.maps]))
-    return _page("Landing maps", words, explorer(charts, rules, notes), table, figures, simulate, path)
+    explored = explorer(charts, rules, notes)
+    return _page("Landing maps", words, explored, table, _pictures(content), simulate, path)
+
+
+def _pictures(content: MapFile) -> Html:
+    """Return a narrow picture of every map of a file and of its best impulses, under one legend."""
+    pieces, key = [], MapLegend()
+    for chart in content.maps:
+        safe = np.nansum([chart.share(outcome) for outcome in LANDED], axis=0).max(axis=1) >= 0.5
+        steepest = f"{chart.slopes_deg[safe][-1]:g}°" if safe.any() else "none"
+        words = (
+            f"{chart.title}: outcome of landings over touchdown speed in m/s and slope in degrees; steepest "
+            f"slope of the grid on which half of the sets come to rest within 1 m at some speed: {steepest}"
+        )
+        pieces.append(picture(figure_of_file(content, key, chart), words))
+    for best in content.impulses:
+        words = f"delay and duration of the best impulse over touchdown speed and slope, {best.surface}"
+        pieces.append(picture(figure_impulse([best], stacked=True), words))
+    return in_true_colours(legend(key.entries()) + side_by_side(pieces))
 
 
 def study_page(path: Path) -> str:
@@ -130,9 +149,13 @@ class _Simulate:
     ) -> tuple[str | int, ...]:
         """Return the command of a landing; a number is what each cell replaces, and `more` is as written."""
         head = shlex.join(["sysid", "simulate", str(self.gears[surface]), *self.common])
-        tail = shlex.join(_stated_rules(rules))
         parts = [f"{head} --slope ", slope, " --speed ", speed, *more]
-        return tuple([*parts, f" {tail}"] if tail else parts)
+        usual = Rules()
+        for name, hint in field_hints(Rules).items():
+            flag = mark_of(hint)
+            if isinstance(flag, Flag) and rules[name] != getattr(usual, name):
+                parts.append(f" {shlex.join([*flag.spelled(name), flag.bare(rules[name])])}")
+        return tuple(parts)
 
     def controller(self, stated: Mapping[str, Any], file: str | None) -> str:
         """Return the options of a controller as `asdict` states it."""
@@ -140,17 +163,6 @@ class _Simulate:
         words += ["--trigger", "imu"] if stated["sensing"] else []
         words += ["--controller-file", str(shown_from_here(self.folder / file))] if file else []
         return f" {shlex.join(words)}"
-
-
-def _stated_rules(rules: Mapping[str, Any]) -> list[str]:
-    """Return the rules that are not the default as options of a command."""
-    out = []
-    usual = Rules()
-    for name, hint in field_hints(Rules).items():
-        flag = mark_of(hint)
-        if isinstance(flag, Flag) and rules[name] != getattr(usual, name):
-            out += [*flag.spelled(name), flag.bare(rules[name])]
-    return out
 
 
 def _map_charts(content: MapFile, simulate: _Simulate) -> list[CellChart]:
@@ -207,11 +219,6 @@ def _impulse_charts(content: MapFile, simulate: _Simulate) -> list[CellChart]:
     return charts
 
 
-def _design_axis(change: Change, values: FloatArray) -> CellAxis:
-    name, unit = (change.symbol, "s more") if change.kind == "reversal" else (change.label, "")
-    return CellAxis(name, unit, tuple(values.tolist()), even=True)
-
-
 def _study_charts(study: DesignStudy, simulate: _Simulate, provenance: Mapping[str, Any]) -> list[CellChart]:
     """Return the designs over the values of one change, for every touchdown speed and other value."""
     settings, (surface,) = study.settings, simulate.gears
@@ -236,7 +243,9 @@ def _study_charts(study: DesignStudy, simulate: _Simulate, provenance: Mapping[s
     charts = []
     for m, speed in enumerate(settings.speeds):
         for words, c, chosen, changed in groups:
-            axis = _design_axis(study.changes[c], study.points[chosen, c])
+            change = study.changes[c]
+            name, unit = (change.symbol, "s more") if change.kind == "reversal" else (change.label, "")
+            axis = CellAxis(name, unit, tuple(study.points[chosen, c].tolist()), even=True)
             cells = [
                 np.moveaxis(a[chosen][:, :, m], 0, 1) for a in (study.outcome, study.distance, study.time)
             ]

@@ -1,4 +1,4 @@
-"""Landing maps for Python and for a page: a table, one picture of all maps, or a narrow one per map."""
+"""Landing maps for Python: a table, and one picture of all maps."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
-from sysid.landing.maps import Fleets, LandingMap, landing_maps
-from sysid.landing.outcomes import OUTCOMES, Outcome
+from sysid.landing.maps import Fleets, landing_maps
+from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.settings import ImpulseSettings, MapSettings
 from sysid.landing.store import MapFile
 from sysid.marks import span
-from sysid.report.html import Html, in_true_colours, legend, picture, side_by_side
-from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file
+from sysid.report.landing_figures import figure_impulse, figure_of_file
 from sysid.shown import Shown
 from sysid.workflows.landing_maps import limits_of
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets
@@ -110,25 +109,3 @@ def _opened(
 
 def _settings(settings: MapSettings, limits: Any) -> dict[str, Any]:
     return {"rules": asdict(settings.rules), "static_limits": limits}
-
-
-def file_pictures(content: MapFile) -> Html:
-    """Return a narrow picture of every map of a file and of its best impulses, under one legend."""
-    pieces, key = [], MapLegend()
-    for chart in content.maps:
-        pieces.append(picture(figure_of_file(content, key, chart), _words(chart)))
-    for best in content.impulses:
-        figure = figure_impulse([best], stacked=True)
-        words = f"delay and duration of the best impulse over touchdown speed and slope, {best.surface}"
-        pieces.append(picture(figure, words))
-    return in_true_colours(legend(key.entries()) + side_by_side(pieces))
-
-
-def _words(chart: LandingMap) -> str:
-    safe = chart.share(Outcome.SHORT) + chart.share(Outcome.NEAR)
-    rows = np.flatnonzero(np.nan_to_num(safe).max(axis=1) >= 0.5)
-    steepest = f"{chart.slopes_deg[rows[-1]]:g}°" if len(rows) else "none"
-    return (
-        f"{chart.title}: outcome of landings over touchdown speed in m/s and slope in degrees; steepest "
-        f"slope of the grid on which half of the sets come to rest within 1 m at some speed: {steepest}"
-    )

@@ -313,8 +313,8 @@ def test_the_legend_lists_what_is_drawn_and_nothing_else():
     one = some_map()
     (legend,) = figure_landing_maps([one]).legends
     assert [text.get_text() for text in legend.get_texts()] == [
-        "at rest within 45 cm", "at rest within 1 m", "A: flipped within 1 m", "B: neither",
-        "mean distance to rest", "mean time to rest",
+        "at rest within 45 cm", "at rest within 1 m", "A: flipped within 1 m",
+        "B: still moving, or beyond 1 m", "mean distance to rest", "mean time to rest",
     ]  # fmt: skip
     one.uncertain[2, 3, 4] = True
     # A limit that is stated beside the map is no line of the legend.
@@ -331,9 +331,10 @@ def test_the_legend_lists_what_is_drawn_and_nothing_else():
     assert sorted(entry[2] for entry in legend.entries()) == sorted(words)
     assert ("#d55e00", "dashed", words[-1]) in legend.entries()
     far = replace(one, outcome=np.minimum(one.outcome, 1))
-    figure = figure_landing_maps([far], lines=False)
+    figure = figure_landing_maps([far])
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [
         "at rest within 45 cm", "at rest within 1 m", "class of a set changes with half the tolerance",
+        "mean distance to rest", "mean time to rest",
     ]  # fmt: skip
     (dots,) = (c for c in figure.axes[0].collections if "tolerance" in c.get_label())
     np.testing.assert_array_equal(dots.get_offsets(), [[one.speeds[4], one.slopes_deg[3]]])
@@ -345,7 +346,7 @@ def test_every_set_lost_is_drawn_as_such():
     figure = figure_landing_maps([one])
     (mesh,) = (c for c in figure.axes[0].collections if isinstance(c, QuadMesh))
     assert not np.allclose(mesh.get_array()[9, 8], 1.0)  # not the white of B
-    assert "every simulation failed" in [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "the simulation failed" in [text.get_text() for text in figure.legends[0].get_texts()]
 
 
 def test_uneven_cells_are_drawn_between_their_edges():

@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 from fakes.fits import GEAR, MOTOR, made_fit
 from sysid.errors import ExportError
 from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, save_figure
-from sysid.report.fit_figures import figure_convergence
+from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated, trial_view
 from sysid.report.plots import figure_of
-from sysid.report.traces import figure_measured_against_simulated, trial_view
 
 
 def lines_in(axes, colour):
