@@ -98,10 +98,15 @@ def test_damaged_logs(worker, tmp_path, name):
     bench(worker, tmp_path, name, [*range(QUICK), *FAILED.get(name, ())])
 
 
-@pytest.mark.parametrize("name", ["mat", "tdms", "c3d", "ros-mcap"])
+@pytest.mark.parametrize("name", ["mat-plain", "tdms", "c3d", "ros-mcap"])
 def test_damaged_foreign_logs(worker, tmp_path, name):
     """One of each damage: every log starts a child process, half a second each."""
     bench(worker, tmp_path, name, range(len(BINARY_DAMAGES)))
+
+
+def test_a_log_that_crashes_its_library_is_refused(worker, tmp_path):
+    """The parser of scipy reads beyond its memory."""
+    bench(worker, tmp_path, "mat-plain", [2683])
 
 
 @pytest.mark.slow
