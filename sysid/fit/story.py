@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class Story(Generic[P]):
     # --- the record of a fit --------------------------------------------------------------------------------
 
     @property
-    def logs(self) -> Mapping[str, Any]:
+    def logs(self) -> Mapping[str, Mapping[str, object]]:
         """What a result states of every log, by name."""
         return {trial.name: trial.provenance for trial in self.problem.trials}
 
@@ -35,18 +35,18 @@ class Story(Generic[P]):
         return {trial.name: trial.digest for trial in self.problem.trials}
 
     @property
-    def accuracy(self) -> Mapping[str, Any]:
+    def accuracy(self) -> Mapping[str, object]:
         """Further choices that must be equal for a fit to be continued; see `sysid.resume.BlockStore`."""
         return {}
 
     @property
-    def filters(self) -> Mapping[str, Any]:
+    def filters(self) -> Mapping[str, object]:
         """The filter's design."""
         return {"kind": "none"}
 
     # --- sysid check ----------------------------------------------------------------------------------------
 
-    def quality(self) -> list[dict[str, Any]]:
+    def quality(self) -> list[dict[str, object]]:
         """Return what is stated of every log, and notice what it contradicts in the campaign.
 
         By default of the compared instants.
@@ -62,11 +62,11 @@ class Story(Generic[P]):
             })  # fmt: skip
         return out
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, object]:
         """Return further keys of the document of `sysid check`, and notice what contradicts the campaign."""
         return {}
 
-    def excitation(self) -> dict[str, Any]:
+    def excitation(self) -> dict[str, object]:
         """Return what the trials excite: a range [low, high] or a number by name."""
         return {}
 
@@ -92,6 +92,6 @@ class Story(Generic[P]):
         """Return points behind what the fit takes as known at a row (n_table,): x and y (n,) [SI] by name."""
         return {}
 
-    def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
+    def beyond(self, rows: FloatArray) -> list[dict[str, object]]:
         """Return what a validation adds to the scores of each trial, predicted by rows (S, n_table) [SI]."""
         return [{} for _ in self.problem.trials]

@@ -138,7 +138,7 @@ def fit_tolerance(campaign: GearCampaign) -> float:
 
 def measured_values(campaign: GearCampaign) -> dict[str, float]:
     """Return what the campaign states of the model's parameters, by name [SI]; defaults are not measured."""
-    stated: dict[str, Any] = {}
+    stated: dict[str, float] = {}
     for table in (campaign.vehicle, campaign.surface):
         stated |= table.model_dump(exclude_unset=True, exclude_none=True)
     return {name: stated[name] for name in PARAMETERS if name in stated}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -21,20 +20,20 @@ class GearStory(Story[GearProblem]):
     """Descriptions of the drops of a problem."""
 
     @property
-    def accuracy(self) -> Mapping[str, Any]:
+    def accuracy(self) -> Mapping[str, object]:
         """The law and the tolerance."""
         law = self.problem.campaign.surface.law
         return {"friction_law": law, "accuracy_of_a_simulation": self.problem.tolerance}
 
     @property
-    def filters(self) -> Mapping[str, Any]:
+    def filters(self) -> Mapping[str, object]:
         """The low-pass at the rate of the first drop."""
         lowpass = lowpass_of(self.problem.campaign, self.problem.drops[0].motion.rate)
         if lowpass is None:
             return {"kind": "none"}
         return lowpass.design() | {"simulation_filtered": self.problem.campaign.filter.filter_simulation}
 
-    def beyond(self, rows: FloatArray) -> list[dict[str, Any]]:
+    def beyond(self, rows: FloatArray) -> list[dict[str, object]]:
         """Return slope and resting place of every drop, over the sets and the starts' uncertainty.
 
         ``stop``: place [m, down-slope] and time [s] since the first touchdown, each measured, mean and sigma.
@@ -48,7 +47,7 @@ class GearStory(Story[GearProblem]):
             for drop in self.problem.drops
         ]
 
-    def quality(self) -> list[dict[str, Any]]:
+    def quality(self) -> list[dict[str, object]]:
         """Return how good every log is, and how its fall begins and ends."""
         campaign, out = self.problem.campaign, []
         notice_odd_vehicle(campaign)
@@ -77,7 +76,7 @@ class GearStory(Story[GearProblem]):
             })  # fmt: skip
         return out
 
-    def excitation(self) -> dict[str, Any]:
+    def excitation(self) -> dict[str, object]:
         """Return the ranges of slopes [deg], impact speeds [m/s] and largest pitch rates [rad/s]."""
         drops = self.problem.fitted.drops
         rates = [np.gradient(drop.target.measured[:, 4], 1 / drop.motion.rate) for drop in drops]
@@ -88,7 +87,7 @@ class GearStory(Story[GearProblem]):
         }
         return {name: [min(values), max(values)] for name, values in spans.items()}
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, object]:
         """Return where the centre of mass is, seen from the stated one."""
         return {"centre_of_mass": centre_of_mass(self.problem.drops, self.problem.campaign)}
 

@@ -349,7 +349,7 @@ class MotorProblem(Problem):
     @property
     def row_logs(self) -> Mapping[str, str]:
         """SHA-256 of the log of every delay, by the name of its row."""
-        return {delay_name(trial.entry.log): trial.provenance["sha256"] for trial in self.bench.trials}
+        return {delay_name(trial.entry.log): str(trial.provenance["sha256"]) for trial in self.bench.trials}
 
     def completed(self, rows: FloatArray, fit: FitResult) -> FloatArray:
         """Return adopted rows (S, n_table) [SI] with delays of logs new to the fit, and no-load lines."""

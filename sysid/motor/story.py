@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -42,24 +41,25 @@ class MotorStory(Story[MotorProblem]):
     @property
     def hashes(self) -> Mapping[str, str]:
         """SHA-256 of every log, of the static logs as well."""
-        files = {
-            name: [provenance, provenance.get("second_log", {})] for name, provenance in self.logs.items()
-        }
-        return {name: " ".join(file["sha256"] for file in both if file) for name, both in files.items()}
+        out = {}
+        for name, provenance in self.logs.items():
+            both = (provenance, provenance.get("second_log"))
+            out[name] = " ".join(str(file["sha256"]) for file in both if isinstance(file, dict))
+        return out
 
     @property
-    def logs(self) -> Mapping[str, Any]:
+    def logs(self) -> Mapping[str, Mapping[str, object]]:
         """What a result states of every log, of the static logs as well."""
         return {trial.entry.name: trial.provenance for trial in self.problem.bench.trials} | {
             log.name: log.provenance for log in self.problem.bench.curves.logs
         }
 
     @property
-    def filters(self) -> Mapping[str, Any]:
+    def filters(self) -> Mapping[str, object]:
         """The filter of the fast logs, and which logs went without."""
         return filter_design(self.problem.campaign, [trial.log for trial in self.problem.bench.trials])
 
-    def quality(self) -> list[dict[str, Any]]:
+    def quality(self) -> list[dict[str, object]]:
         """Return how good every log is, without what reading it has put right: tare and signs."""
         out = []
         for trial in self.problem.prepared:
@@ -70,7 +70,7 @@ class MotorStory(Story[MotorProblem]):
             out.append(quality | {"second_log": trial.log.second})
         return out
 
-    def excitation(self) -> dict[str, Any]:
+    def excitation(self) -> dict[str, object]:
         """Return the ranges of commands and speeds [rad/s], and the numbers of commands and reversals."""
         commands = np.concatenate([trial.log.steps.level for trial in self.problem.prepared])
         targets = (trial.target for trial in self.problem.bench.fitted)

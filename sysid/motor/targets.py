@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -46,7 +45,7 @@ class PreparedTrial:
     # Spin-ups from rest inside the window [s], as far as the filter carries them.
     starts: tuple[tuple[float, float], ...]
     thrust: FloatArray | None  # (n,) measured and filtered like the rest [N]; None: not recorded
-    provenance: dict[str, Any]
+    provenance: dict[str, object]
 
     @property
     def started(self) -> BoolArray:

@@ -48,7 +48,7 @@ def check_campaign(
             whole = kind.open(campaign, path, threads)
             # A misstatement of the campaign, told first, is the cause of what may fail below.
             story = kind.story(whole)
-            seen = {"quality": story.quality()}
+            seen: dict[str, object] = {"quality": story.quality()}
             journal.fold(len(whole.trials))
             seen |= story.about()
             problem = whole.fitted.exact

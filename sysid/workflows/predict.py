@@ -186,7 +186,10 @@ def validate_fit(
             kind=result.kind,
             campaign=stated,
             **judgement(judged, float(result.nrmse[0])),
-            trials=[ValidatedTrial(**vars(trial), **row) for trial, row in zip(judged, more, strict=True)],
+            trials=[
+                ValidatedTrial.model_validate(vars(trial) | row)
+                for trial, row in zip(judged, more, strict=True)
+            ],
             warnings=journal.sentences(),
         )
     units = ", ".join(result.channel_units)
