@@ -42,23 +42,32 @@ def check_new_fit(path: str | Path, force: bool = False) -> None:
     check_folder(path, force=force, marker="fit.h5", error_type=FitError)
 
 
+def no_files(fit_sha256: str) -> Mapping[str, bytes]:
+    """Return no further files."""
+    return {}
+
+
 def write_fit(
     result: FitResult,
     path: str | Path,
     force: bool = False,
-    beside: Callable[[str], Mapping[str, bytes]] = lambda fit_sha256: {},
+    *,
+    shown: FitResult | None = None,
+    beside: Callable[[str], Mapping[str, bytes]] = no_files,
 ) -> Path:
     """Write a fit folder, whose parents are made, and return its path.
 
-    `beside` returns further files of the folder by name, or other content of ``fit.json`` and
-    ``summary.txt``, from the SHA-256 of ``fit.h5``. `force` replaces an existing fit folder, with all that is
-    in it, once the new one is complete. Raises FitError, with nothing changed, when the folder exists and
-    `force` is off, or it cannot be written.
+    ``fit.json`` and ``summary.txt`` are of the fit with its intervals where it is `shown` with them. `beside`
+    returns further files of the folder by name, from the SHA-256 of ``fit.h5``. `force` replaces an existing
+    fit folder, with all that is in it, once the new one is complete. Raises FitError, with nothing changed,
+    when the folder exists and `force` is off, or it cannot be written.
     """
     path = Path(path)
     sets = result.parameter_sets()
-    numbers = FIT_FILE.content(lambda file: _write_numbers(file, result, sets))
-    texts = fit_texts(result) | dict(beside(hashlib.sha256(numbers).hexdigest()))
+    texts = fit_texts(shown or result)
+    record, metadata = run_record(result), sets.metadata().line()
+    numbers = FIT_FILE.content(lambda file: _write_numbers(file, result, sets, record, metadata))
+    texts |= beside(hashlib.sha256(numbers).hexdigest())
     with replaced_folder(path, force=force, marker="fit.h5", error_type=FitError) as folder:
         (folder / "fit.h5").write_bytes(numbers)
         for name, data in texts.items():
@@ -72,10 +81,12 @@ def fit_texts(result: FitResult) -> dict[str, bytes]:
     return {"fit.json": document.text().encode("utf-8"), "summary.txt": summary(result).encode("utf-8")}
 
 
-def _write_numbers(file: Any, result: FitResult, sets: ParameterSets) -> None:
+def _write_numbers(
+    file: Any, result: FitResult, sets: ParameterSets, record: Mapping[str, object], metadata: str
+) -> None:
     file.attrs["state"] = result.state
-    put_texts(file, "metadata_json", sets.metadata().line())
-    put_json(file, "record_json", run_record(result))
+    put_texts(file, "metadata_json", metadata)
+    put_json(file, "record_json", record)
     group = file.create_group("sets")
     put(group, "values", sets.values, "set, parameter", "SI, see parameters in metadata_json")
     put(group, "cube", result.cube, "set, free parameter")

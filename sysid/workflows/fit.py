@@ -26,7 +26,7 @@ from sysid.fit.result import FitResult, bound_findings, ranked_sets
 from sysid.fit.search import Hooks, run_many
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, Deadline, StopFlag, stop_on_interrupt
-from sysid.fit.store import check_new_fit, fit_texts, write_fit
+from sysid.fit.store import check_new_fit, no_files, write_fit
 from sysid.fit.story import Story
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
@@ -87,12 +87,14 @@ def fit_campaign(
         raise FitError("--resume continues a fit and --force discards it; choose one")
     # Before the hours of a fit are spent.
     Checkpoint.check_start(folder, resume=options.resume, force=options.force)
-    check_new_fit(folder, options.force or options.resume)
+    replaces = options.force or options.resume
+    check_new_fit(folder, replaces)
     missing = ""
-    with Journal(say, model.words.trials) as journal, ExitStack() as until_done, ExitStack() as until_written:
+    with naming_campaign(path), ExitStack() as until_done, ExitStack() as until_written:
+        progress = FitProgress(search, model.words.trials, options.quiet)
+        journal = until_done.enter_context(Journal(say, model.words.trials))
         try:
-            progress = FitProgress(search, model.words.trials, options.quiet)
-            with naming_campaign(path), journal.blaming():
+            with journal.blaming():
                 for finding in ignored:
                     journal.add(finding)
                 problem = model.open(campaign, path, options.threads)
@@ -117,10 +119,10 @@ def fit_campaign(
             judged = _judged(problem.fitted.exact, outcome)
             record = {**provenance(search, story, folder), **expected, "adequacy": judged.model_dump()}
             follows = options.trust and outcome.cut is None
-            result = _result(model.name, problem, runs, outcome, record)
             # A spread of the sets beside an interval is a second claim; of a wrong model it is none.
             loose = loose_findings(runs, problem.space, not follows and judged.verdict != NOT_BY)
             doubts = chain(misfit_finding(judged), loose, bound_findings(outcome.records, outcome.at_bound))
+            result = _result(model.name, problem, runs, outcome, judged, record)
             _add_doubts(journal, doubts)
             noticed = [finding.document() for finding in journal.findings]
             result = replace(
@@ -128,9 +130,7 @@ def fit_campaign(
                 provenance={**result.provenance, "findings": noticed},
                 warnings=tuple(journal.sentences()),
             )
-            final = replace(result, settings=_cut_by_bounds(outcome, judged))
-            replaces = options.force or options.resume
-            write = partial(write_fit, final, folder, replaces)
+            shown, beside = result, no_files
             until_written.close()
             if follows:
                 try:
@@ -139,21 +139,15 @@ def fit_campaign(
                         # Resamples would take longer than all else, and no interval rests on them.
                         trust = TrustOptions(resamples=0, threads=options.threads, dask=options.dask)
                         document, arrays = assess_opened(opened, trust, inner)
+                    shown, beside = stating_intervals(result, document), partial(part_files, document, arrays)
                 except SysidError as error:
                     # The fit is whole without its intervals.
                     missing = f"no intervals ({error}); run sysid trust {folder}"
                 except KeyboardInterrupt:
                     # The sets are not lost to a user who wants no intervals; --resume makes them.
-                    write()
+                    write_fit(result, folder, replaces)
                     raise
-                else:
-                    final = stating_intervals(result, document)
-                    texts = fit_texts(final)
-                    write = partial(
-                        write_fit, result, folder, replaces,
-                        lambda sha: {**part_files(document, arrays, sha), **texts},
-                    )  # fmt: skip
-            written = write()
+            written = write_fit(result, folder, replaces, shown=shown, beside=beside)
             if outcome.cut is None:
                 # A finished fit needs no checkpoint; until here --resume goes on with the intervals.
                 checkpoint.discard()
@@ -164,7 +158,7 @@ def fit_campaign(
             raise
     if missing:
         say(f"warning: {missing}") if say else notice("no-intervals", missing)
-    return final, written
+    return shown, written
 
 
 def _add_doubts(journal: Journal, doubts: Iterable[Finding]) -> None:
@@ -185,9 +179,9 @@ def _judged(fitted: Problem, outcome: FitOutcome) -> Adequacy:
 
 
 def _cut_by_bounds(outcome: FitOutcome, judged: Adequacy) -> dict[str, Any]:
-    """Return the settings of a fit without intervals, so that no digits of what a bound cuts are printed.
+    """Return settings with the verdict on what a bound cuts where the model does not explain the trials.
 
-    They give the verdict on such parameters where the model does not explain the trials.
+    Without intervals, no digits of such a parameter are printed.
     """
     cut = {
         row.name: {
@@ -273,7 +267,12 @@ def _search(
 
 
 def _result(
-    kind: str, problem: Problem, runs: tuple[RunHistory, ...], outcome: FitOutcome, record: Mapping[str, Any]
+    kind: str,
+    problem: Problem,
+    runs: tuple[RunHistory, ...],
+    outcome: FitOutcome,
+    judged: Adequacy,
+    record: Mapping[str, Any],
 ) -> FitResult:
     """Return what a fit has found; notice which simulations are lost."""
     trials = problem.results(outcome.rows)
@@ -289,7 +288,8 @@ def _result(
         set_runs=outcome.sets.run,
         set_seeds=outcome.sets.seed,
         cube=outcome.sets.cube,
-        **{name: getattr(outcome, name) for name in ("values", "at_bound", "nrmse", "settings")},
+        **{name: getattr(outcome, name) for name in ("values", "at_bound", "nrmse")},
+        settings=_cut_by_bounds(outcome, judged),
         trials=trials,
         channels=problem.channels,
         channel_units=problem.units,
