@@ -13,6 +13,20 @@ from sysid.loaders.options import DECLARED
 
 # One lbf and one lbf-in as the maker of the transducers states them.
 LBF, LBF_IN = 4.4482216152605, 0.1129848290276167
+# Headers of text logs: what several tests change in them stands in braces.
+LVM = (
+    "LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\t{columns}\n***End_of_Header***\n\n"
+    "Channels\t1\nY_Unit_Label\tN\n{axis}X0\t2\nDelta_X\t0.5\n***End_of_Header***\nX_Value\tFz\tComment\n"
+)
+NET_FT = (
+    "RDT Sample Rate: 100\nForce Units: N\nCounts per Unit Force: {0}\nTorque Units: Nm\n"
+    "Counts per Unit Torque: {0}\n"
+    "Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time\n"
+)
+ROS = "%time,field.header.seq,field.header.stamp," + ",".join(
+    f"field.pose.{part}"
+    for part in (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
+)
 
 
 def examples(count):

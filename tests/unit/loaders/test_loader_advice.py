@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from fakes.log_files import refuses
+from fakes.log_files import NET_FT, ROS, refuses
 from sysid.errors import SysidError
 from sysid.journal import note
 from sysid.loaders import formats, load
@@ -32,10 +32,6 @@ def suspicions(recording, word):
 RUN = np.arange(400)
 # 60 000 rpm, 900 gf and 300 mN·m, taken for rad/s, N and N·m; at rest in the first rows.
 SPEED, THRUST, TORQUE = (np.where(RUN < 100, 0.0, top) for top in (60_000.0, 3_000.0, 300.0))
-NET = (
-    "RDT Sample Rate: 100\nForce Units: N\nCounts per Unit Force: 1\nTorque Units: Nm\n"
-    "Counts per Unit Torque: 1\nStatus, RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time"
-)
 ATI = "First line indicates sampling freq [Hz]\nFx, Fy, Fz, Tx, Ty, Tz\n100,75,500"
 
 
@@ -47,7 +43,7 @@ def bench_csv(head, rows):
     ("rcbenchmark-csv", "Time (s),ESC signal (µs),Motor Optical Speed (rad/s),Thrust (N),Torque (N·m)",
      "{t:.2f},{c},{s},{f},{m}", {}),
     ("load-cell-csv", "Time (s),Command (us),Speed (rad/s),Fz (N),Mz (N·m)", "{t:.2f},{c},{s},{f},{m}", {}),
-    ("net-ft-csv", NET, "0,{i},{i},0,0,{f},0,0,{m},0", {}),
+    ("net-ft-csv", NET_FT.format(1).strip(), "0,{i},{i},0,0,{f},0,0,{m},0", {}),
     ("ati-text", ATI, "0,0,{f},0,0,{m}", {"units": {"force": "N", "torque": "N*m"}}),
 ])  # fmt: skip
 def test_unit_advice_of_bench_formats_helps(write, name, head, row, options):
@@ -111,11 +107,6 @@ HEIGHT = np.maximum(0.4 - 0.5 * 9.80665 * np.maximum(FALL - 0.5, 0.0) ** 2, 0.0)
 
 POSE = "t [s],x{u},y{u},z{u},qw,qx,qy,qz"
 VICON = "Objects\n200\n,,Global Angle q:q\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n,,,,,{u},{u},{u}"
-ROS = ",".join([
-    "%time,field.header.seq,field.header.stamp,field.header.frame_id",
-    *(f"field.pose.position.{axis}" for axis in "xyz"),
-    *(f"field.pose.orientation.{axis}" for axis in "xyzw"),
-])  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "head", "row", "options"), [
@@ -123,7 +114,7 @@ ROS = ",".join([
     ("pose-table", POSE.format(u=" [m]"), "{t:.4f},0,0,{z:.6f},1,0,0,0", {}),
     ("vicon-csv", VICON.format(u=""), "{i},0,0,0,0,0,0,{z:.6f}", {"length_unit": "m"}),
     ("vicon-csv", VICON.format(u="m"), "{i},0,0,0,0,0,0,{z:.6f}", {}),
-    ("ros-csv", ROS, "{n},{i},{n},w,0,0,{z:.6f},0,0,0,1", {}),
+    ("ros-csv", ROS, "{n},{i},{n},0,0,{z:.6f},0,0,0,1", {}),
 ])  # fmt: skip
 def test_length_advice_of_captures_helps(write, name, head, row, options):
     """Heights in millimetres that are taken for metres."""

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fakes import log_files
 from fakes.log_files import (
     LBF,
     LBF_IN,
+    NET_FT,
     c3d,
     hdf5,
     notes,
@@ -114,10 +116,7 @@ def test_ati_refusals(write, cal, options, message):
     refuses(write(VOLTS), message, SysidError, format="ati-text", **options)
 
 
-LVM = (
-    "LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\tNo\n***End_of_Header***\n\n"
-    "Channels\t1\nY_Unit_Label\tN\nX0\t0\nDelta_X\t0.5\n***End_of_Header***\nX_Value\tFz\tComment\n"
-)
+LVM = log_files.LVM.format(columns="No", axis="")
 
 
 @pytest.mark.parametrize(("content", "options", "message"), [
@@ -207,11 +206,7 @@ def test_qualisys_frequency_is_checked_against_the_time_column(write):
 
 
 def test_net_ft_refusals(write):
-    text = (
-        "RDT Sample Rate: 10\nForce Units: N\nCounts per Unit Force: 2\nTorque Units: Nm\n"
-        "Counts per Unit Torque: 4\nStatus (hex), RDT Sequence, Fx, Fy, Fz, Tx, Ty, Tz\n"
-        "0, 5, 1, 1, 2, 1, 1, 8\n"
-    )
+    text = NET_FT.format(2).replace("Torque: 2", "Torque: 4") + "0, 5, 5, 1, 1, 2, 1, 1, 8, 0:00\n"
     log = load(write(text))
     assert (log["thrust"].values[0], log["torque"].values[0]) == (1, 2)
     for old, new, message in [

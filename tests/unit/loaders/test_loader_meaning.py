@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from fakes.log_files import hdf5, notes, refuses, row_lines, tdms
+from fakes.log_files import LVM, ROS, hdf5, notes, refuses, row_lines, tdms
 from sysid.errors import LogError, SysidError, UnitError
 from sysid.loaders import load
 from sysid.trials.look import inspect_recording
@@ -29,12 +29,6 @@ def test_a_unit_at_the_end_of_a_name_is_said(write):
     assert "ends of names" not in notes(declared)
     # A suffix of another dimension than the quantity's is refused, as a bracket is.
     refuses(write("Time (s),Fz_V\n" + row_lines(5, "{t},1")), r'column "Fz_V": .*dimension', UnitError)
-
-
-LVM = (
-    "LabVIEW Measurement\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\t{columns}\n***End_of_Header***\n\n"
-    "Channels\t1\nY_Unit_Label\tN\n{axis}X0\t2\nDelta_X\t0.5\n***End_of_Header***\nX_Value\tFz\tComment\n"
-)
 
 
 @pytest.mark.parametrize(("axis", "factor"), [
@@ -131,18 +125,14 @@ def test_jitter_of_arrival_is_taken_out_by_frame_numbers(write):
 
 def test_sequence_numbers_of_ros_messages_are_frames(write):
     frames, late = arrivals()
-    head = "%time,field.header.seq,field.header.stamp," + ",".join(
-        f"field.pose.{part}"
-        for part in (*(f"position.{a}" for a in "xyz"), *(f"orientation.{a}" for a in "xyzw"))
-    )
     lines = [
         f"{round(1e9 * t)},{f},{round(1e9 * t)},1,2,3,0,0,0,1" for f, t in zip(frames, late, strict=True)
     ]
-    log = load(write("\n".join([head, *lines, ""])), clock="frame")["body/position"]
+    log = load(write("\n".join([ROS, *lines, ""])), clock="frame")["body/position"]
     np.testing.assert_allclose(np.diff(log.time), np.diff(frames) / 100, rtol=2e-3)
-    bare = "\n".join([head.replace("seq", "other"), *lines, ""])
+    bare = "\n".join([ROS.replace("seq", "other"), *lines, ""])
     refuses(write(bare), r"no column field\.header\.seq", SysidError, clock="frame")
-    bare = "\n".join([head.replace("header.stamp", "other"), *lines, ""])
+    bare = "\n".join([ROS.replace("header.stamp", "other"), *lines, ""])
     refuses(write(bare), r"no column field\.header\.stamp", SysidError)
 
 

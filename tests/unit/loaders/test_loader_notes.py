@@ -5,36 +5,26 @@ import struct
 import numpy as np
 import pytest
 
-from fakes.log_files import c3d, hdf5, notes, refuses
+from fakes.log_files import NET_FT, ROS, c3d, hdf5, notes, refuses
 from sysid.errors import UnitError
 from sysid.loaders import load
 
 pytestmark = pytest.mark.usefixtures("in_this_process")
 
-NET = (
-    "RDT Sample Rate: 100\nForce Units: N\nCounts per Unit Force: 10\nTorque Units: Nm\n"
-    "Counts per Unit Torque: 10\nStatus (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time\n"
-)
-
 
 def test_net_ft_rows_with_a_status_are_counted(write):
     status = ["0", "0x0", "00000000", "80010000", "0", "0000000A", "80010000", "0"]
     rows = "".join(f"{s}, {i}, {i}, 1, 2, 3, 4, 5, 6, 0:0:{i}\n" for i, s in enumerate(status))
-    log = load(write(NET + rows))
+    log = load(write(NET_FT.format(10) + rows))
     assert 'rows with a status other than 0: 3 (first: line 10; "80010000", "0000000A")' in notes(log)
     np.testing.assert_array_equal(log["thrust"].values, 3 * 0.1)  # kept, with a note
-    assert "status" not in notes(load(write(NET + rows.replace("80010000", "0").replace("0000000A", "0x0"))))
+    rows = rows.replace("80010000", "0").replace("0000000A", "0x0")
+    assert "status" not in notes(load(write(NET_FT.format(10) + rows)))
 
 
 STAND = "Time (s),ESC signal (µs),Servo 1 (µs),Thrust (N),Motor Optical Speed (RPM),App message,Mark,\n"
 CELL = "Time (s),Fz (N),Note no,Temp (degC)\n"
 POSE = "t,x_m,y_m,z_m,qw,qx,qy,qz,error_m\n"
-ROS = (
-    "%time,field.header.seq,field.header.stamp,"
-    + ",".join(f"field.pose.position.{axis}" for axis in "xyz")
-    + ","
-    + ",".join(f"field.pose.orientation.{axis}" for axis in "xyzw")
-)
 
 
 @pytest.mark.parametrize(("head", "row", "named"), [

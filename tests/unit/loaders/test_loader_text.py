@@ -79,9 +79,8 @@ def test_decimal_comma_only_where_no_point_is_however_late(write, count):
 )
 def test_what_is_no_number_is_refused_by_both_readers(write, cell, monkeypatch):
     path = write(f"a,b\n1,2\n{cell},3\n")
-    for slow in (False, True):
-        if slow:
-            monkeypatch.setattr(table, "_read_fast", lambda *_: None)
+    for small in (table._SMALL, -1):
+        monkeypatch.setattr(table, "_SMALL", small)
         with pytest.raises(LogError, match=r"line 3: .* in column 'a' is not a number"):
             numbers_of(path)
 
@@ -89,9 +88,9 @@ def test_what_is_no_number_is_refused_by_both_readers(write, cell, monkeypatch):
 @pytest.mark.parametrize("cell", ["+1", "5.", ".5", "1E-5", " 1 ", "nan", "NaN", "", " ", "1e-400", '"1"'])
 def test_what_is_a_number_is_the_same_for_both_readers(write, cell, monkeypatch):
     path = write(f"a,b\n1,2\n{cell},3\n")
-    fast = numbers_of(path).columns
-    monkeypatch.setattr(table, "_read_fast", lambda *_: None)
     slow = numbers_of(path).columns
+    monkeypatch.setattr(table, "_SMALL", -1)
+    fast = numbers_of(path).columns
     for index in fast:
         np.testing.assert_array_equal(fast[index], slow[index])
 

@@ -15,6 +15,7 @@ FEET = Feet(0.105, 0.151, SLOPE)
 RELEASE = 7.4137  # on a clock that starts at 6.2 s
 SPEED = 0.6
 X = 0.3  # down-slope of the surface's origin
+FRAME = CaptureFrame("+y", "+x")
 
 
 def _log(time, position, quaternion=(1.0, 0.0, 0.0, 0.0)):
@@ -82,9 +83,8 @@ def test_release_touchdown_and_state_in_any_capture_axes(up, down):
 
 def test_noise_moves_release_by_less_than_its_estimate():
     errors = []
-    frame = CaptureFrame("+y", "+x")
     for seed in range(20):
-        _, _, flight, _ = _prepare(_recording(frame, noise=0.3e-3, seed=seed), frame)
+        _, _, flight, _ = _prepare(_recording(FRAME, noise=0.3e-3, seed=seed), FRAME)
         errors.append(flight.start - RELEASE)
         # At rest: no rate is invented from noise in most draws, and none beyond 3 sigma (2 mm/s each).
         assert abs(flight.state[3]) < 0.012
@@ -94,8 +94,7 @@ def test_noise_moves_release_by_less_than_its_estimate():
 
 def test_free_flight_backward_through_the_hold_meets_the_fall():
     """A simulation that starts before the release, falling freely, is on the flight from the release on."""
-    frame = CaptureFrame("+y", "+x")
-    _, _, flight, touchdown = _prepare(_recording(frame), frame)
+    _, _, flight, touchdown = _prepare(_recording(FRAME), FRAME)
     early, later = flight.start - 0.003, touchdown - 0.005
     state = flight.at(np.array([early]), free=True)[0]
     span = later - early
@@ -122,8 +121,7 @@ def test_signs_of_roll_and_yaw():
 
 
 def test_missing_frames_become_masked_slots_of_the_same_clock():
-    frame = CaptureFrame("+y", "+x")
-    motion = spatial_motion(_recording(frame, drop_rows=[50, 51, 52, 200]), None, frame)
+    motion = spatial_motion(_recording(FRAME, drop_rows=[50, 51, 52, 200]), None, FRAME)
     assert len(motion.time) == 400
     assert np.flatnonzero(~motion.valid).tolist() == [50, 51, 52, 200]
     assert motion.rate == pytest.approx(200.0, rel=1e-9)
@@ -140,7 +138,6 @@ def test_arrival_jitter_is_interpolated_and_said():
 
 
 def test_plane_from_markers():
-    frame = CaptureFrame("+y", "+x")
     normal = np.array([np.sin(SLOPE), 0, np.cos(SLOPE)])
     tangent = np.array([np.cos(SLOPE), 0, -np.sin(SLOPE)])
     across = np.array([0.0, 1.0, 0.0])
@@ -148,17 +145,17 @@ def test_plane_from_markers():
     places = [origin + a * tangent + b * across + 0.007 * normal for a, b in [(0, 0), (0.5, 0), (0.2, 0.4)]]
     time = np.arange(5) / 100
     channels = {
-        f"m{i}/position": Channel(f"m{i}/position", "m", time, np.tile(p @ frame.matrix, (5, 1)))
+        f"m{i}/position": Channel(f"m{i}/position", "m", time, np.tile(p @ FRAME.matrix, (5, 1)))
         for i, p in enumerate(places)
     }
     recording = Recording("motion-capture", channels, Provenance("board.csv", "", "made"))
-    point, slope, _ = marker_plane(recording, ("m0", "m1", "m2"), frame, 0.007, None)
+    point, slope, _ = marker_plane(recording, ("m0", "m1", "m2"), FRAME, 0.007, None)
     assert slope == pytest.approx(SLOPE, abs=1e-12)
     assert (point - origin) @ normal == pytest.approx(0, abs=1e-12)
-    single, *_ = marker_plane(recording, ("m1",), frame, 0.007, SLOPE)
+    single, *_ = marker_plane(recording, ("m1",), FRAME, 0.007, SLOPE)
     assert (single - origin) @ normal == pytest.approx(0, abs=1e-12)
     with pytest.raises(LogError, match=r"board.csv: no marker 'm9'; found m0, m1, m2"):
-        marker_plane(recording, ("m9",), frame, 0.0, SLOPE)
+        marker_plane(recording, ("m9",), FRAME, 0.0, SLOPE)
 
 
 def test_a_thrown_body_is_ballistic():
@@ -221,13 +218,12 @@ def test_a_level_release_has_exactly_no_pitch():
 
 
 def test_refusals_name_the_cause():
-    frame = CaptureFrame("+y", "+x")
-    recording = _recording(frame)
+    recording = _recording(FRAME)
     with pytest.raises(LogError, match="no rigid body 'drone'; found F450"):
-        spatial_motion(recording, "drone", frame)
+        spatial_motion(recording, "drone", FRAME)
     with pytest.raises(LogError, match="nothing falls in this log"):
         find_fall(spatial_motion(recording, None, CaptureFrame("+x", "+y")), G, "drop.csv")
-    motion = spatial_motion(recording, None, frame)
+    motion = spatial_motion(recording, None, FRAME)
     held = find_fall(motion, G, "drop.csv")
     for height, sentence in (
         (0.5, "below the surface before the drop"),
