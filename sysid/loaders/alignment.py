@@ -19,16 +19,16 @@ from sysid.recording import Channel, FloatArray, Recording
 
 # Largest rate at which channels are compared [Hz].
 _LARGEST_RATE = 2000.0
-# Least correlation and least confidence of an offset that is used without a look.
+# Least correlation and least confidence of an offset that is used without a look at the figures [1].
 _WEAK, _UNSURE = 0.5, 0.2
-# Correlation from which a smaller confidence suffices, and that confidence: steps up and down by turns, half
-# a period off, are 0.1 to 0.15 behind.
+# Correlation from which a smaller confidence suffices, and that confidence [1]: for alternating steps the
+# correlation of the next best offset, half a period away, is only 0.1 to 0.15 lower.
 _CLOSE, _UNSURE_CLOSE = 0.95, 0.1
 # Fewest samples to align by.
 _FEWEST = 20
 # Width of the window over which changes are taken [s].
 _SMOOTHING = 0.04
-# Least overlap of two recordings, as a share of the shorter one.
+# Least overlap of two recordings, as a share of the shorter one [1].
 _OVERLAP = 0.3
 
 
@@ -72,8 +72,8 @@ def _even(channel: Channel, other: Channel, rate: float) -> tuple[float, FloatAr
     seen = np.isfinite(values)
     time = np.arange(channel.time[seen][0], channel.time[seen][-1], 1.0 / rate)
     even = np.interp(time, channel.time[seen], values[seen])
-    # Slow parts say little about when: compare changes, smoothed over what a rotor takes to answer, so that
-    # the noise of a load cell, whose samples differ more than its signal does, averages out.
+    # Changes determine the offset, slow parts do not. They are smoothed over the time that a rotor takes to
+    # answer, because the noise of a load cell is larger than the change of its signal between two samples.
     window = np.hanning(max(7, 2 * round(_SMOOTHING * rate / 2.0) + 1))
     change = np.convolve(np.gradient(even), window / window.sum(), mode="same")
     return float(time[0]), np.asarray(change)
@@ -98,8 +98,9 @@ def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = T
     products = signal.correlate(first, second, mode="full", method="fft")
     ones = (np.ones(first.size), np.ones(second.size))
     shared = np.round(signal.correlate(ones[0], ones[1], mode="full", method="fft"))
-    # The shorter recording's whole energy counts: an offset that shows one of its events is worse than
-    # one that shows all. Of the longer one counts what overlaps.
+    # The score divides by the energy of the whole shorter recording, so that an offset at which all its
+    # events overlap beats one at which a single event does, and by the energy of the overlap of the longer
+    # one.
     longer = first.size >= second.size
     power = signal.correlate(first**2, ones[1], mode="full", method="fft") if longer else np.sum(first**2)
     other_power = (
@@ -107,7 +108,7 @@ def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = T
     )
     # A lag at which the recordings hardly overlap correlates by chance.
     allowed = shared >= _OVERLAP * min(first.size, second.size)
-    # Powers stay off zero, where a still stretch would divide noise by nothing.
+    # A floor under both energies keeps noise in a stretch without events from being divided by zero.
     floors = 1e-6 * np.max(power), 1e-6 * np.max(other_power)
     scale = np.sqrt(np.maximum(power, floors[0]) * np.maximum(other_power, floors[1]))
     score = np.where(allowed, (products if sign else np.abs(products)) / scale, -np.inf)

@@ -22,10 +22,10 @@ from sysid.recording import BoolArray, Channel, FloatArray, Recording
 from sysid.units import factor_to_si
 
 EULER_ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
-# Words of Motive for units.
+# Units of length by the words that Motive writes for them.
 _LENGTHS = {"meters": "m", "millimeters": "mm", "centimeters": "cm", "inches": "inch", "feet": "foot"}
-# Largest error of a quaternion's length: logs print two decimals or more; beyond, columns are wrong or a
-# number is damaged.
+# Largest error of a quaternion's length [1]: logs print two decimals or more, so a larger error means wrong
+# columns or a damaged number.
 _LENGTH_TOLERANCE = 0.02
 
 
@@ -84,7 +84,7 @@ def unit_quaternions(
     all zero, is NaN; a length that is not 1 within 2 % is a LogError that names the row in `numbers`.
     """
     notes: list[Finding] = []
-    with np.errstate(over="ignore"):  # a damaged number may be too large to square: its length is no 1
+    with np.errstate(over="ignore"):  # a damaged number may be too large to square
         length = np.linalg.norm(raw, axis=1)
     lost = np.isnan(length)
     zero = length == 0.0
@@ -130,7 +130,7 @@ def rotation_quaternions(
     `kind` is how scipy's ``Rotation.from_KIND`` takes the values. Euler angles [deg] are about the axes of
     the turning body, in an `order` such as ``"XYZ"``: upper-case letters are scipy's sign for that.
     """
-    # Imported on first use: it takes longer than all else that the commands without logs need.
+    # Imported on first use: the import takes longer than everything that commands without logs do.
     from scipy.spatial.transform import Rotation
 
     seen = np.asarray(np.isfinite(values).all(axis=1)) if seen is None else seen

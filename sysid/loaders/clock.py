@@ -13,12 +13,12 @@ from sysid.loaders.options import LogOptions, is_positive
 from sysid.loaders.table import Numbers
 from sysid.recording import BoolArray, FloatArray
 
-# Most samples of an earlier run that a logger leaves at the start of a file.
+# Largest number of samples that a logger leaves from an earlier run at the start of a file.
 _STALE_ROWS = 2
-# Advice about times that repeat: in general, and where the format takes a rate.
+# Advice about times that repeat: for every format, and for a format that takes a rate.
 EXPORT_FINER = "export the log again with finer times"
 DECLARE_RATE = "declare the sample rate with rate = ..."
-# Fewest rows for a line through times and frame numbers, and largest median delay that it may leave [s].
+# Fewest rows for a line through times and frame numbers, and largest median distance of times from it [s].
 _FEWEST_FRAMES, _LONGEST_DELAY = 10, 0.1
 
 
@@ -69,7 +69,7 @@ def order_rows(
         raise LogError(f"{path}: no row has a time; the log is empty")
     time = numbers.columns[time_column] * factor
 
-    # Rows of an earlier run, behind which the clock falls once and then rises.
+    # The clock falls once behind the rows of an earlier run and then rises.
     most = min(_STALE_ROWS, time.size - 1) if stale_start else 0
     falls = [k for k in range(1, most + 1) if time[k] < time[k - 1]]
     stale = next((k for k in falls if np.all(np.diff(time[k : k + 5]) >= 0)), 0)
@@ -138,7 +138,7 @@ def stamp_clock(
     period, offset = np.polyfit(frames[seen] - first, written[seen] - start, 1)
     time: FloatArray = start + offset + period * (frames - first)
     off = np.where(seen, np.abs(written - time), 0.0)
-    # A network delays frames by milliseconds, and by some tenths of a second at its worst.
+    # A network delays most frames by milliseconds and a few by some tenths of a second.
     if period <= 0 or float(np.median(off[seen])) > _LONGEST_DELAY:
         row = int(off.argmax())
         raise LogError(

@@ -24,7 +24,7 @@ from sysid.loaders.table import (
 from sysid.units import factor_to_si
 
 _BRACKETED = re.compile(r"^(?P<stem>.*?)\s*[(\[]\s*(?P<unit>[^()\[\]]*?)\s*[)\]]$")
-# Name and unit that a header appends to it with an underscore; the longest units come first.
+# A name and, behind an underscore, its unit; longer units come first, because the first that fits is taken.
 _SUFFIXED = re.compile(
     r"^(?P<stem>.+?)_(?P<unit>rad_s|deg_s|m_s2|m_s|N_m|mm|cm|ms|us|ns|Nm|rpm|deg|rad|m|s|N|V|A)$"
 )
@@ -68,7 +68,7 @@ def split_label(label: str) -> tuple[str, str | None, bool]:
 
 def parse_header(names: Sequence[str]) -> tuple[Column, ...]:
     """Return the columns of a header line."""
-    # A damaged line may be one name of a megabyte, on which patterns of names take for ever.
+    # A damaged line may be a single name of a megabyte, on which the patterns above take minutes.
     shown = [shortened(name, _LONGEST_NAME) for name in names]
     return tuple(Column(index, name, *split_label(name)) for index, name in enumerate(shown))
 

@@ -19,9 +19,10 @@ from sysid.recording import Channel, FloatArray
 TIME = frozenset({"time", "t", "timestamp", "time stamp"})
 TACHOMETER = frozenset({"tachometer", "tacho", "tach", "pulse", "pulses", "hall"})
 COMMAND = frozenset({"command", "cmd", "throttle", "esc", "esc signal", "pwm"})
-# Width of the band around the middle level that noise must not cross twice, as a share of the pulse's height.
+# Width of the band around the middle level, as a share of the pulse's height [1]: noise within it makes no
+# edge.
 _HYSTERESIS = 0.25
-# Length in medians of a step that has lost at least one sample; jitter alone stays below.
+# Least length of a step that has lost a sample [median steps]; jitter alone stays below.
 _HOLE = 2.5
 
 
@@ -58,11 +59,11 @@ QUANTITIES = {
 STEMS = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER} | {
     name: quantity.stems for name, quantity in QUANTITIES.items()
 }
-# Channels of which one makes a log a load-cell log.
+# Channels that make a log a load-cell log; one suffices.
 MEASURED = ("thrust", "torque")
 # Names that only a force sensor has.
 CELL_AXES = (QUANTITIES["thrust"].stems - {"thrust"}) | {"mz", "moment z"}
-# Names that a second log beside the cell's may have alone.
+# Names that suffice for a second log, recorded beside the load cell's.
 BESIDE = QUANTITIES["speed"].stems | QUANTITIES["voltage"].stems | QUANTITIES["current"].stems | TACHOMETER
 
 

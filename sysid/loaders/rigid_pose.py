@@ -20,9 +20,9 @@ from sysid.journal import Finding, note
 from sysid.loaders.columns import listing
 from sysid.recording import BoolArray, FloatArray
 
-# Least second singular value of a marker set that is no line, as a share of its first.
+# Least ratio of the second to the first singular value of markers that do not lie on one line [1].
 _FLAT = 0.02
-# Largest residual of the markers of a rigid body, as a share of its size.
+# Largest RMS residual of the markers of a rigid body, as a share of the RMS distance from their centre [1].
 _LOOSE = 0.1
 
 

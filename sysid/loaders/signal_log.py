@@ -43,11 +43,11 @@ from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers
 from sysid.recording import Channel, FloatArray, Recording
 
-# Units of signals of other names. Temperatures (offset scales) and a bare "g" (gram or standard gravity) are
-# kept as recorded.
+# SI units of signals that are no known quantity. Temperatures (scales with an offset) and a bare "g" (gram or
+# standard gravity) are kept as recorded.
 _OTHER_UNITS = ("V", "A", "W", "N", "N*m", "Pa", "m/s^2", "m/s", "rad/s", "rad", "m", "s", "Hz", "1")
-# Largest relative difference of the lengths of signals that one rate spans, and of a stated rate from that of
-# the times: no clock drifts by as much.
+# Largest relative difference [1] of the lengths of two signals of one rate, and of a stated rate from the
+# rate of the times: no clock drifts by as much.
 _LENGTHS, _RATES = 0.02, 0.1
 
 
@@ -187,7 +187,7 @@ class _Clocks:
         if not values.size:
             raise LogError(f"{self.path}: dataset {name} is empty; the log has no samples")
         values = np.where(np.isinf(values), np.nan, values)
-        # Beside the quantities a file may have short rows of settings, whose clock nobody looks at.
+        # Signals that are no known quantity may be short rows of settings, whose length is not compared.
         key, time = self._clock(name, signal, values.size, known=channel != name)
         group = self.numbers.setdefault(
             key, Numbers({0: time}, np.arange(1, time.size + 1), row_word="sample")
@@ -198,7 +198,7 @@ class _Clocks:
     def _clock(self, name: str, signal: Signal, size: int, *, known: bool) -> tuple[object, FloatArray]:
         if self.rate is None and signal.time is not None:
             doubt = self._off_rate(name, signal, signal.time, "its column of times")
-            # A program that paces itself writes a Delta_X without meaning; the times are what it saw.
+            # A program that paces itself writes a Delta_X without meaning; its times were measured.
             self.notes += [note("rate-contradicts-times", f"{doubt}; the times were taken")] if doubt else []
             return id(signal.time), signal.time
         beside = [
@@ -282,7 +282,7 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
             values = clocks.numbers[key].columns[index]
             column = columns[channel if channel in others else chosen[channel]]
             if channel in others:
-                # A known quantity checks the dimension of a unit at the end of its name; here nothing would.
+                # Only for a known quantity can the dimension show that the end of a name is no unit.
                 if column.guessed:
                     column = replace(column, unit=None, guessed=False)
                 unit, factor = plain_unit(declared.unit_of(column, column.label))
@@ -316,7 +316,7 @@ def plain_unit(stated: str | None) -> tuple[str, float]:
     if stated in ("", "g", "G") or stated.startswith("dB") or re.search("deg|°|º", stated):
         return "", 1.0
     for expected in _OTHER_UNITS:
-        # A radian is a pure number to the units library: per cent, strain and counts are no angles.
+        # The units library counts a radian as a pure number, as per cent, strain and counts are.
         if expected == "rad" and "rad" not in stated:
             continue
         if (factor := factor_or_none(stated, expected)) is not None:

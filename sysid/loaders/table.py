@@ -26,24 +26,24 @@ from sysid.journal import Finding, note
 from sysid.loaders.source import SPACES, Text, shortened, sniff_delimiter, split_line
 from sysid.recording import FloatArray
 
-# Lines among which a header is looked for: vendors put a few lines before it, nobody puts a hundred.
+# Number of lines among which a header is looked for: vendors put a few lines before it.
 HEADER_SEARCH = 100
 _MISSING = frozenset({"", "nan", "-nan", "+nan"})
-# Bytes that are searched at once [B]: what is made of them is small beside the numbers.
+# Size of the pieces in which delimiters are counted [B]; the arrays of a piece are small beside the numbers.
 _SEARCHED = 1 << 18
-# Least and most bytes that the engine parses at once [B]; it needs several times their size.
+# Least and largest size of the pieces that the engine parses [B]; it needs several times their size.
 _PARSED = (1 << 18, 1 << 20)
-# Largest table that is read line by line for its size alone [B]: that takes as long as the engine and spares
-# the import of pandas (0.3 s, 30 MB).
+# Largest table that is read line by line for its size alone [B]: reading it so takes as long as the engine
+# does and spares the import of pandas (0.3 s, 30 MB).
 _SMALL = 1 << 17
-# Number whose commas may part thousands.
+# A number whose commas may separate thousands.
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 # Unit in the header of a column of ISO 8601 times, which `stamped` has turned into microseconds.
 STAMPS = "ISO 8601"
 _STAMP = r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?(?:[Zz]|[+-]\d\d(?::?\d\d)?)?"
-# Rows that are parted at once.
+# Number of rows that are split into cells at once.
 _BATCH = 4096
-# Most blank cells behind the last column of a row that count as trailing delimiters.
+# Largest number of blank cells behind the last column of a row that count as trailing delimiters.
 _MOST_TRAILING = 64
 
 
@@ -324,8 +324,8 @@ def _shifted(
         )
     if free_text is None:
         return [row for row, _ in wordless]
-    # A script appends cells behind the words. With a delimiter too many in front, the number that belongs
-    # before the words stands in their place.
+    # Cells behind the words are appended by a script. With a delimiter too many in front of the words, a
+    # number stands in their place.
     shifted = [
         row
         for row, cells in wordless
@@ -345,7 +345,7 @@ def parse_number(cell: str, decimal: str = ".") -> float:
     """Return the number in a cell, NaN for a blank cell or a written nan; ValueError for anything else."""
     if decimal == "." and cell.isascii() and "_" not in cell:
         try:
-            return float(cell)  # most cells, at a third of the time
+            return float(cell)  # enough for most cells, in a third of the time
         except ValueError:
             pass
     text = cell.strip().strip('"').strip()
@@ -398,7 +398,7 @@ class _Rows:
                     parted = list(csv.reader(lines, delimiter=self.delimiter))
                 except csv.Error:
                     parted = []
-            # A quote that is left open joins lines: then each is parted by itself, where it cannot.
+            # An open quote joins lines in the reader of many; split one by one, lines stay apart.
             yield from parted if len(parted) == len(lines) else (split_line(x, self.delimiter) for x in lines)
 
     def part(self, rows: slice | NDArray[np.bool_]) -> _Rows:
@@ -419,7 +419,7 @@ class _Rows:
 
 def _body_end(data: bytes, start: int, delimiter: str) -> tuple[int, bool]:
     """Return where the last row ends, before comments and blank lines, and whether it has a line end."""
-    # A row of nothing but tabs is a row where tabs part the cells.
+    # A line of tabs alone is a row of blank cells where tabs delimit cells.
     blanks = b" \r\v\f" if delimiter == "\t" else b" \t\r\v\f"
     end = len(data)
     while end > start:

@@ -22,11 +22,15 @@ from sysid.units import parse_quantity
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # Channels of the loads on these axes.
 _LOADS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
-# Share of the highest speed from which rows count as fast [1]; largest efficiency that passes [1], above 1 as
-# probes err; least and most thrust over power [N/W], which is one over the speed of the air in the disk: 1
-# m/s is slower than any drone's propeller at its highest speeds drives it, 200 m/s is faster; least
-# correlation with Ω² of what a propeller gives, and fewest rows for it.
-_FAST, _MOST_EFFICIENT, _PER_WATT, _GROWS, _FEWEST = 0.7, 1.3, (0.005, 1.0), 0.9, 6
+# Share of the highest speed from which rows count as fast [1].
+_FAST = 0.7
+# Largest plausible ratio of shaft power to electrical power [1]; above 1, because probes err.
+_MOST_EFFICIENT = 1.3
+# Least and largest plausible thrust over power [N/W]. It is one over the speed of the air in the disk: at its
+# highest speeds a drone's propeller drives the air faster than 1 m/s and slower than 200 m/s.
+_PER_WATT = (0.005, 1.0)
+# Least correlation of a propeller's thrust or torque with Ω² [1], and fewest rows that show it.
+_GROWS, _FEWEST = 0.9, 6
 
 
 @dataclass
@@ -113,7 +117,7 @@ def _load_channels(path: str, raw: RawTable, loads: FloatArray, options: BenchOp
         beyond = ", ".join(AXES[i] for i in np.flatnonzero(over))
         raw.notes.append(note("beyond-calibrated-range", f"beyond the calibrated range: {beyond}"))
     if options.transform:
-        load = load @ motor_transform(path, options.transform).T  # a blank cell blanks all that it counts in
+        load = load @ motor_transform(path, options.transform).T  # NaN in all loads that a blank cell enters
         raw.notes.append(note("loads-transformed", "loads are at the motor's axes, as declared by transform"))
     return {name: quantity_channel(name, raw.time, load[:, i].copy()) for i, name in enumerate(_LOADS)}
 
@@ -126,7 +130,7 @@ def _power_findings(channels: Mapping[str, Channel]) -> list[Finding]:
     speed, none = channels["speed"].values if "speed" in channels else np.empty(0), np.empty(0)
     if not np.isfinite(speed).any():
         return []
-    # The speed of pulses is on a clock of its own, where nothing else is.
+    # A speed from pulses has a clock of its own, so other channels cannot be compared with it row by row.
     thrust, torque, voltage, current = (
         channels[name].values if name in channels and channels[name].values.size == speed.size else none
         for name in ("thrust", "torque", "voltage", "current")

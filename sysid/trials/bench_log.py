@@ -21,7 +21,7 @@ from sysid.types import BoolArray, Direction, FloatArray
 # stalls last 40 to 100 ms.
 _STALL_INTERVALS = 3.0
 _STALL_LEAST = 0.03
-# Longest time between a command and a stall that may have delayed it, whatever the log says [s].
+# Longest time between a logged command and a stall that may have delayed that command [s].
 _REACH = 0.15
 # Time that the response needs after a stall [s]: several times the slowest rotor seen.
 _RECOVERY = 0.15
@@ -31,14 +31,14 @@ _RINGING = 0.5
 _DSHOT_STOP, _DSHOT_HALF, _DSHOT_LAST = 47, 1000, 2047
 # Largest |u| that is no command [1].
 AT_REST = 1e-9
-# Shortest stand of a rotor [s], and least |u| during it [1], that show another command than the logged one.
+# Shortest standstill of a rotor [s], and least |u| during it [1], that show a wrong unit or neutral.
 _STANDING, _DRIVEN = 0.5, 0.1
 # Share of its top speed below which a rotor stands, and above which it turns [1].
 _STANDS, _TURNS = 0.02, 0.1
 # Least |u| that commands a direction [1].
 _COMMANDED = 0.02
-# Largest gap between two samples that a value is taken from [s], and in median steps of a slow sensor: a
-# rotor's speed changes little in either.
+# Largest gap between two samples that a value is interpolated from, in seconds and in median steps of a slow
+# sensor: a rotor's speed changes little in either.
 _LONGEST, _STEPS = 0.05, 3.0
 
 
@@ -283,7 +283,7 @@ def standing_command(
         return None
     starts = np.maximum(steps.time, window[0])
     ends = np.minimum(np.append(steps.time[1:], np.inf), window[1])
-    holds = []  # u, whether the rotor stands throughout, whether it mostly turns
+    holds = []  # u; whether the rotor stands throughout; whether it mostly turns
     for start, end, level in zip(starts, ends, steps.level, strict=True):
         inside = (time >= start) & (time < end)
         if np.count_nonzero(inside) >= 2 and time[inside][-1] - time[inside][0] > _STANDING:
@@ -325,7 +325,7 @@ def on_one_clock(recording: Recording, names: Sequence[str], reference: Sequence
         step = float(np.median(np.diff(seen))) if seen.size > 1 else 0.0
         moved[name] = np.full(clock.size, np.nan)
         if name == "command" and seen.size:
-            # The last one given; none before the first and after the last row.
+            # The last command given; none before the first row and after the last.
             last = np.clip(np.searchsorted(seen, clock, side="right") - 1, 0, seen.size - 1)
             moved[name] = np.where((clock >= seen[0]) & (clock <= seen[-1] + step), values[last], np.nan)
         elif name != "command":

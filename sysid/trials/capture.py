@@ -16,7 +16,7 @@ from sysid.journal import Finding, note
 from sysid.recording import Recording
 from sysid.types import BoolArray, FloatArray
 
-# Largest distance of a frame from its slot on the uniform clock at which it is taken as it is [periods].
+# Largest distance of a frame from its slot on the uniform clock without interpolation [periods].
 _SNAP = 0.05
 # Largest rotation out of the plane that the planar model allows (the paper's assumption) [rad].
 PLANAR_LIMIT = np.radians(10.0)
@@ -100,7 +100,7 @@ def spatial_motion(
     median = float(np.median(steps))
     span = float(position.time[-1] - position.time[0])
     count = round(span / median)
-    # Without holes the whole span gives the rate to many digits; with holes its nearest whole count does.
+    # The span over a whole count of periods gives the rate to many digits, with or without lost frames.
     period = 1.0 / rate if rate else (span / count if abs(span / count - median) < 0.02 * median else median)
     found_rate = 1.0 / period
     time = position.time[0] + period * np.arange(int(np.floor(span / period + 0.5)) + 1)

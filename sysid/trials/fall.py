@@ -25,8 +25,8 @@ from sysid.trials.flight import (
 )
 from sysid.types import FloatArray
 
-# Largest distance [m] and turn [rad] of a held body from its place, and longest hold [s]: every simulation
-# starts from the mean of a hold's samples.
+# Largest distance [m] and turn [rad] of a body that hangs still from its mean pose, and longest time over
+# which that pose is averaged [s]: every simulation starts from it.
 _STILL = 2e-3
 _STILL_TURN = np.radians(1.5)
 _LONGEST_HOLD = 2.0
@@ -119,13 +119,14 @@ def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float 
     hold = hold_before(onset, half, motion.rate, height)
     if hold is None or motion.valid[hold].sum() < 3:
         return slice(onset, onset)
-    # The rest that the hold is the end of: more samples tell its place better.
+    # The body may have hung still for longer than `hold_before` shows: more samples determine its pose
+    # better.
     first = max(0, hold.stop - round(_LONGEST_HOLD * motion.rate))
     place = np.nanmean(np.where(motion.valid[hold, None], motion.position[hold], np.nan), axis=0)
     turn = held_level(motion, hold)
     before = slice(first, hold.start)
     away = np.abs(motion.position[before] - place).max(axis=1) > _STILL
-    # The angle of the rotation in between from its trace.
+    # The trace of the rotation between two attitudes is 1 + 2 cos(angle).
     trace = np.einsum("ij,nij->n", turn, motion.rotation[before])
     turned = trace < 1 + 2 * np.cos(_STILL_TURN)
     moved = np.flatnonzero(motion.valid[before] & (away | turned))
@@ -203,7 +204,7 @@ def _fit(
         solution, *_ = np.linalg.lstsq(design, values, rcond=None)
         noise[column] = np.std(values - design @ solution)
         sigma = noise[column] * np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
-        # A magnet releases at rest: a rate counts only where it is three times its error.
+        # A magnet releases a body at rest, so a rate counts only if it is three times its error.
         if abs(solution[1]) > 3 * sigma:
             origin[column], rates[column] = solution
         else:

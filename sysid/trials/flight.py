@@ -19,16 +19,16 @@ from sysid.types import BoolArray, FloatArray
 HALF_WINDOW = 0.0225
 # Share of g that counts as falling when judged on 45 ms of positions.
 _FALLING = 0.6
-# Time before the fall in which a hold shows [s], and its largest movement [m]: a hand moves by more, a magnet
-# does not.
+# Time before a fall in which a body must hang still [s], and its largest movement in that time [m]: a hand
+# moves by more, a magnet does not.
 _SEEN_HANGING, _HANDS_MOVE = 0.3, 0.004
 # Least length of a fall that determines g to some percent [s].
 _LONG_FALL = 0.06
 # Tolerance on |a|/g [1], and shortest flight of a body in motion and of a body that hung still [s].
 _NEAR, _SHORTEST, _SHORTEST_FALL = 0.25, 0.05, 0.03
-# Factor by which a body gets faster within this time [s] only where its fall goes on.
+# Ratio of speeds [1] that a body reaches within a time [s] only if its fall goes on.
 _FASTER, _SOON = 1.5, 0.1
-# Least distance from the flight, beside four standard deviations, of positions that have left it [m].
+# Least distance of positions that have left the flight from it [m], if four standard deviations are less.
 _OFF = 5e-4
 
 
@@ -123,7 +123,7 @@ def held_fall(
     """
     step = float(time[1] - time[0])
     half = half_window(HALF_WINDOW / step)
-    # The impact accelerates the other way, but later: whichever axis comes first is the way down.
+    # The impact accelerates along an axis too, but later: the axis of the first onset is the way down.
     onsets = [fall_onset(np.abs(acceleration[:, axis]), gravity, sure) for axis in range(3)]
     for onset, axis in sorted((onset, axis) for axis, onset in enumerate(onsets) if onset is not None):
         hold = hold_before(onset, half, 1.0 / step, position)

@@ -17,14 +17,14 @@ from sysid.types import FloatArray
 
 Sense = Literal["to-reverse", "to-forward", "both"]
 
-# Share of the final thrust at which a reversal is done (Fig. 3 is read so).
+# Share of the final thrust at which a reversal is done [1], as in Fig. 3 of the paper.
 LEVEL = 0.9
-# Share of its final value below which the |speed| of a signed probe, else the |thrust|, is inside the dead
-# band. A thrust of 5 % is a speed of 22 %.
+# Half width of the dead band, as a share of the final speed of a signed probe, else of the final thrust [1].
+# A thrust of 5 % is a speed of 22 %.
 DEAD_BAND = 0.05
 # Least ratio of an outlier's time to that of the quickest repetition.
 SLOW = 1.5
-# Last part of a hold, over which the final value is taken [1], and shortest hold that has one [s].
+# Last part of the time at one command over which the final value is averaged [1], and least such time [s].
 _LAST, _LEAST_HOLD = 0.25, 0.2
 # Largest difference between the halves of that part of a settled repetition, and its least value as a share
 # of the largest: a battery that sags by a fifth keeps 0.64 of the thrust, a rotor that has not started has
@@ -33,9 +33,9 @@ _DRIFT, _LEAST_FINAL = 0.1, 0.6
 # Percentile of the times against which outliers are measured [%]: a controller that fails four times of five
 # still has its quick repetitions there.
 _QUICK = 10.0
-# Largest difference of commands that are one [1]: a receiver's pulses jitter by a microsecond either way.
+# Largest difference of logged u that are one command [1]: a receiver's pulses jitter by a microsecond.
 JITTER = 0.005
-# Longest neutral that is on the way from one command to the next, and no rest [s].
+# Longest neutral that is passed on the way from one command to the next [s]; a longer one is a rest.
 _PASSING = 0.05
 
 
@@ -48,12 +48,12 @@ class Reversal:
     # Commands u [1].
     before: float
     after: float
-    # How long the command was held [s].
+    # Time until the next command [s].
     hold: float
-    # Until the rotor stood still (or the thrust was zero), and time inside the dead band [s].
+    # Time until the rotor stood still, or the thrust was zero, and time inside the dead band [s].
     zero_crossing: float
     dead_band: float
-    # Until the thrust was 90 % of its final value [s]; NaN: never before the next command.
+    # Time until the thrust was 90 % of its final value [s]; NaN if it never was before the next command.
     to_level: float
     # Final thrust of the repetition itself where it settled [N], signed as `after`; NaN where none did.
     final_thrust: float
@@ -67,7 +67,7 @@ def held_commands(steps: CommandSteps) -> CommandSteps:
     """
     if steps.time.size < 2:
         return steps
-    # The last hold has no end in the log; for the vote it counts as long as the hold before it.
+    # The end of the last command is not in the log: it counts as lasting as long as the one before it.
     lasting = np.append(np.diff(steps.time), np.diff(steps.time[-2:]))
     values, which = np.unique(steps.level, return_inverse=True)
     weight = np.bincount(which, weights=lasting)

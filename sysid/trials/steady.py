@@ -17,14 +17,14 @@ from sysid.types import FloatArray, IntArray
 # Time after a command from which a point counts as steady [s], and largest difference of its two halves [1].
 SETTLE = 0.4
 _DRIFT = 0.02
-# Largest travel of the command, jumps included, over a window of a slow ramp and a settling time before it
-# [1], and largest difference of the window's halves [1]: a rotor of 0.1 s then trails its steady speed by 0.5
-# %.
+# Largest travel of the command over a window of a slow ramp and the settling time before it, jumps included
+# [1], and largest relative difference of the speeds in the window's halves [1]: a rotor with a time constant
+# of 0.1 s then trails its steady speed by 0.5 %.
 _RAMP_TRAVEL, _RAMP_DRIFT = 0.05, 0.01
 # Least number of different speeds for a zero (one more where both directions turn), and least ratio of the
 # fastest to the slowest in one direction.
 _SPEEDS, _SPAN = 3, 1.3
-# Share of the log's top speed below which a rotor may still be in a dead band.
+# Largest speed at which a rotor may still be in a dead band, as a share of the log's top speed [1].
 _SLOW = 0.25
 
 
@@ -180,7 +180,7 @@ def find_starts(
     intervals: list[tuple[float, float]] = []
     for i in range(steps.time.size):
         start = float(steps.time[i])
-        # A command from before the first sample finds the rotor in the state of that sample.
+        # For a command before the first sample, that sample shows the state of the rotor.
         at = max(int(np.searchsorted(time, start, side="right")) - 1, 0)
         if abs(steps.level[i]) < AT_REST or size[at] >= edge:
             continue

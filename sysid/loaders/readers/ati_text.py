@@ -35,13 +35,14 @@ from sysid.units import factor_to_si
 
 _STATES_RATE = "sampling freq"
 _HEADER_LINES = 20
-# Step of a force/torque log so slow that its first column counts rows or is not in seconds [s].
+# Least step of a first column that counts rows or is not in seconds [s]: force/torque logs are faster.
 _SLOWEST_STEP = 0.5
-# Number of steps that no load takes steadily.
+# Number of steps over which no load rises steadily.
 _FEW_STEPS = 20
+# Largest range of the steps of a steady clock [median steps].
 _STEADY = 0.5
-# Share of the steps, zeros left out, in which a clock falls at most, through pauses, repeated stamps or a
-# damaged number; noise makes a load fall in half of its steps.
+# Largest ratio of falling to rising steps of a clock [1]: a damaged number makes a clock fall, noise makes a
+# load fall in half of its steps.
 _FALLS = 0.02
 _LARGEST_CALIBRATION = 1 << 20
 _NO_BRACKETS = bytes.maketrans(b"[]", b"  ")
@@ -91,7 +92,7 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
     """Return the text with one delimiter, where its rows and their columns are, and the rate."""
     start = text.data[:4096]
     if text.data.lstrip().startswith(b"[") or not any(mark in start for mark in (b",", b";", b"\t")):
-        # Rows printed by numpy, or parted by spaces.
+        # Rows are printed by numpy, or delimited by spaces.
         text = Text(path, text.data.translate(_NO_BRACKETS), text.notes)
     rate = None
     states = False
@@ -101,7 +102,7 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
         if number == 1 and _STATES_RATE in line.casefold():
             states = True
         elif _is_row(cells):
-            # A row with a damaged or blank cell above this one is not passed over: its line is read too.
+            # Reading begins at a row above this one that has a damaged or a blank cell.
             names = ("t", *AXES) if len(cells) == 7 else AXES
             before, place = begin or (number - 1, offset - len(line.encode("utf-8")) - 1)
             return text, TableHead(names, _delimiter(line), before, max(place, 0)), rate
@@ -110,7 +111,7 @@ def _table(text: Text, path: str) -> tuple[Text, TableHead, float | None]:
                 rate = known_rate(_value(cells[0])) if len(cells) > 1 else None
             except ValueError:
                 continue
-            # Words in the line of settings: damaged, it may have swallowed the first row.
+            # A line of settings with words in it is damaged and may have swallowed the first row.
             word = next((cell for cell in cells if _value(cell) is None), None)
             if word is not None:
                 raise LogError(

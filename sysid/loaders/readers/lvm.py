@@ -50,7 +50,8 @@ _KEYS = frozenset(
 _BLANK = re.compile(rb"\n[ \t,]*(?=\n)")
 # Longest header of a file or a segment [lines].
 _HEADER_LINES = 100
-# Digits of an exact step at most, and of a full one at least: 0.001 is exact, 0.000977 is a rounded 1/1024.
+# Largest number of digits of an exact step, and least of one that is not rounded: 0.001 is exact, 0.000977 is
+# a rounded 1/1024.
 _EXACT, _DIGITS = 2, 5
 
 

@@ -44,9 +44,9 @@ _KEYS = (
     "Capture Start Time", "Capture Start Frame", "Total Frames in Take", "Total Exported Frames",
     "Rotation Type", "Length Units", "Coordinate Space",
 )  # fmt: skip
-# Lines among which the column rows come; in every version seen within the first dozen.
+# Number of lines among which the column rows come; in every version seen they are in the first dozen.
 _HEADER_LINES = 40
-# Largest rounding of a time [s]: half of the 1 ms of newer versions, and a little.
+# Largest rounding of a time [s]: half of the last digit of newer versions, 1 ms, and a margin.
 _TIME_ROUNDING = 0.6e-3
 
 
@@ -91,7 +91,7 @@ def _read_header(text: Text) -> _Header:
         )
     number, offset, _ = lines[last]
     axes, upper = rows[last], [row for row in rows[:last] if any(row)]
-    # Row 1 is of pairs of key and value; keys are looked for, because a take's name may contain commas.
+    # Row 1 has pairs of key and value. Known keys are looked for, because a take's name may contain commas.
     pairs = [cell.strip().strip('"') for cell in upper.pop(0)] if upper else []
     settings = {key: pairs[pairs.index(key) + 1] for key in _KEYS if key in pairs[:-1]}
     known = _BODIES | _SOLVED | _MEASURED
@@ -227,7 +227,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
         raw.bodies.append(Body(body.name, time, position, turn, numbers))
     places = [numbers.stacked(marker.columns("Position", "XYZ")) * scale for marker in markers]
     seen = [bool(np.isfinite(place).all(axis=1).any()) for place in places]
-    # A marker that is never seen takes no name from another.
+    # Markers that are never seen come last, so that they take no name from another.
     for k in sorted(range(len(markers)), key=lambda k: not seen[k]):
         marker, taken = markers[k], {*raw.markers, *names}
         name = marker.name + (" (solved)" if marker.type in _SOLVED and marker.name in taken else "")

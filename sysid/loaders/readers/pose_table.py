@@ -46,7 +46,7 @@ _QUATERNION = re.compile(
     r"^(?:(?:.* )?(?:q|quat|quaternion|orientation|rotation)(?: \w+)*? ([wxyz])|q([wxyz]))$"
 )
 _NUMBERED = re.compile(r"^(?:q|quat|quaternion) ?([0-4])$")
-# Velocities beside a pose: unit, and the names of their columns.
+# SI unit and pattern of column names, by kind of velocity beside a pose.
 _TRIPLES = {
     "velocity": ("m/s", re.compile(r"^v ?([xyz])$")),
     "angular_velocity": ("rad/s", re.compile(r"^(?:w|omega) ?([xyz])$")),
@@ -148,7 +148,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     if len(position) < 3:
         raise table.missing(", ".join(f'"{axis}"' for axis in "xyz" if axis not in position))
     quaternion = _quaternion_columns(table, options.quaternion_order)
-    # Without a stated unit a velocity is left out: it is not what this format is for.
+    # A velocity without a stated unit is left out and not refused: fits need the pose alone.
     extra = {
         name: columns
         for name, (_, pattern) in _TRIPLES.items()

@@ -32,12 +32,13 @@ from sysid.types import FloatArray
 
 _FIRST = "NO_OF_FRAMES"
 _HEADER_LINES = 40
-# Cells of a body (X Y Z, three angles, residual, matrix), and where its matrix begins.
+# Number of cells of a body (X Y Z, three angles, residual, matrix), and place of the first one of its matrix.
 _BODY_WIDTH, _MATRIX = 16, 7
 _BODY_PARTS = ("X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{i}]" for i in range(9)))
-# Largest error of a matrix printed to six decimals or fewer; beyond, a column is wrong or a number damaged.
+# Largest element of RᵀR - 1 [1] of a matrix printed to few decimals; a larger one means a wrong column or a
+# damaged number.
 _ORTHOGONAL = 0.02
-# Largest rounding of a time [s]: five decimals, by some versions three.
+# Largest rounding of a time [s]: times have five decimals, in some versions three.
 _TIME_ROUNDING = 5.5e-4
 
 
@@ -60,7 +61,7 @@ def _header(text: Text) -> tuple[dict[str, list[str]], int, int, bool]:
         elif line.strip():
             if is_number(word):
                 return keys, number, offset, False
-            return keys, line_number, behind, False  # a row of column names without Frame and Time
+            return keys, line_number, behind, False  # column names without Frame and Time
         number, offset = line_number, behind
     return keys, number, offset, False
 

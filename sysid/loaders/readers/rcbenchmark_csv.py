@@ -27,7 +27,7 @@ from sysid.loaders.table_log import RawTable, table_format
 from sysid.recording import Channel, FloatArray
 
 _COMMAND = frozenset({"esc signal", "esc"})
-# channel: (stem in the header, unit of the channel)
+# Stem in the header and unit of the channel, by channel.
 _QUANTITIES = {
     "torque": ("torque", "N*m"),
     "thrust": ("thrust", "N"),
@@ -91,8 +91,8 @@ def _choose_speed(
         ratio = electrical[both] / optical[both]
         middle = float(np.median(ratio))
         low, high = np.percentile(ratio, [25, 75])
-        # A constant ratio is a wrong pole count: one pole pair of fourteen is 7 %, and probes that agree
-        # differ by well under 2 %.
+        # A constant ratio shows a wrong pole count: one pole pair changes it by 7 % or more (of fourteen),
+        # and probes that agree differ by well under 2 %.
         if abs(middle - 1.0) > 0.02 and high - low < 0.02 * abs(middle):
             notes.append(Finding("pole-count", wrong_poles(middle)))
     return optical, notes
@@ -171,7 +171,7 @@ def _clock(
     for values in numbers.columns.values():
         again[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     written = None if column is None else numbers.columns[column.index] * seconds
-    # Rows are averaged points where half of them or more lie far from the next, copies left aside.
+    # Rows are averaged points if half of them or more, copies left out, lie far from the next in time.
     known = np.empty(0) if written is None else written[np.isfinite(written) & ~again]
     apart = known.size > 1 and float(np.median(np.abs(np.diff(known)))) >= _STATIC_STEP
     static = options.static
@@ -205,7 +205,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     table = NamedTable(source, options, renames=False)
     path, header = table.path, table.columns
     units = options.units
-    if isinstance(units, Mapping) and "speed" in units:  # it counts for both probes
+    if isinstance(units, Mapping) and "speed" in units:  # "speed" stands for both probes
         probes = {_QUANTITIES[name][0] for name in _SPEEDS} & {column.stem for column in header}
         others = {name: unit for name, unit in units.items() if name != "speed"}
         units = dict.fromkeys(sorted(probes), units["speed"]) | others if probes else units

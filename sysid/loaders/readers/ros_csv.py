@@ -25,7 +25,7 @@ from sysid.loaders.table import Numbers, find_header
 
 _ARRIVAL, _STAMP = "%time", "field header stamp"
 _SEQUENCE = "field header seq"
-# Shortest step of a topic of poses [ns].
+# Shortest step of a topic of poses [ns]; smaller numbers are of another unit.
 _FEWEST_NANOSECONDS = 1000.0
 _POSITION = ("position", "translation")
 _TURN = ("orientation", "rotation")

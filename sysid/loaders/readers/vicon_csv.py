@@ -44,7 +44,7 @@ _HEADER_LINES = 5
 _BLANK_LINE = re.compile(rb"\n[,; \t]*\n")
 # Largest number of samples of a device within a frame.
 _MOST_SUBS = 1e6
-# The fields of which a marker or a body must have all.
+# Fields that a marker needs, and fields that a body needs.
 _PLACE, _BODY = ("X", "Y", "Z"), ("RX", "RY", "RZ", "TX", "TY", "TZ")
 _LENGTHS = (*_PLACE, *_BODY[3:])
 
@@ -213,7 +213,7 @@ def _read_section(
     path = text.path
     groups = section.groups()
     columns = sorted({0, 1, *(column for group in groups.values() for column in group)})
-    # A lost object behind the others leaves a row that ends at one of them, with a delimiter.
+    # If the last objects of a row are lost, the row ends behind an earlier object, with a delimiter.
     ends = [max(group) + 1 for group in groups.values()] if section.title == "objects" else []
     numbers = read_numbers(text.up_to(section.end), section.table, columns, least=columns[-1] + 1, ends=ends)
     time, ordered = _clock(path, section, numbers)
@@ -229,7 +229,7 @@ def _read_section(
 
     for name, group in groups.items():
         fields = {section.fields[column].upper(): column for column in group}
-        # A name of a lost or doubled component may be a neighbour's.
+        # If a component is missing or stands twice, its name may belong to a neighbouring column.
         wanted = {"trajectories": _PLACE, "objects": _BODY, "segments": _BODY}.get(section.title, ())
         if section.title == "objects" and "(Quaternion)" in name:
             wanted = (*_BODY, "RW")

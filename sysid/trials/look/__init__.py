@@ -37,19 +37,19 @@ _FARTHEST = 100.0
 _WRONG_GRAVITY, _CROOKED = 0.03, np.radians(5.0)
 # Largest tilt of a body that hangs level by eye, with axes defined on a table [rad].
 _TILTED = np.radians(10.0)
-# Units of length in a sentence, where it says them otherwise than an option.
+# Words of a sentence for units of length whose name as an option differs.
 _IN_WORDS = {"inch": "inches", "foot": "feet", "m": "metres, read as mm"}
 # Highest speed of a drone's propeller motor [rad/s] (95 000 rpm); a number beyond was meant in rpm.
 _FASTEST = 10_000.0
-# Largest thrust [N] and torque [N·m] of what is put on such stands; beyond, the unit is grams or mN·m.
+# Largest thrust [N] and torque [N·m] on such stands; larger numbers are grams or mN·m.
 _STRONGEST, _LARGEST_TORQUE = 2_000.0, 100.0
-# Largest reading at rest, as a share of the range, that is no missing tare.
+# Largest reading at rest of a tared sensor, as a share of its range in the log [1].
 _TARE = 0.02
-# Number of median steps that make a step a hole in the clock.
+# Least length of a hole in the clock [median steps].
 _HOLE = 2.5
 # Fewest equal samples in a row, and their least share of all, that show a sensor at its limit.
 _FLAT_RUN, _FLAT_SHARE = 5, 0.005
-# Formats whose files state a length unit, which a declared one must not contradict.
+# Formats whose files state a length unit; a declared one that contradicts it is refused.
 _STATES_LENGTHS = frozenset({"motive-csv", "pose-table", "vicon-csv", "c3d"})
 
 
@@ -67,7 +67,7 @@ class ChannelReport:
     highest: float
     # Median sample rate [Hz]; NaN below two samples and where rows have no time.
     rate: float
-    # 90th percentile of the deviation of a step from the median one, as a share of it [1]; NaN as the rate.
+    # 90th percentile of |step - median step| over the median step [1]; NaN where the rate is.
     jitter: float
     # Steps longer than 2.5 times the median.
     holes: int
@@ -159,7 +159,7 @@ def log_quality(name: str, use: str, report: LogReport) -> dict[str, object]:
 
 def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -> LogReport:
     """Return the content of a recording and what looks wrong with it, under a gravity [m/s²]."""
-    clock = recording.kind != "static-map"  # its points follow one another in no time
+    clock = recording.kind != "static-map"  # averaged points have no times
     channels = tuple(inspect_channel(channel, clock) for channel in recording.channels.values())
     suspicions = [finding for finding in recording.provenance.notes if finding.severity == "warning"]
     drop, bench = None, None
@@ -248,7 +248,7 @@ def inspect_channel(channel: Channel, clock: bool = True) -> ChannelReport:
     time, valid = channel.time, channel.valid
     steps = np.diff(time)
     median = float(np.median(steps)) if steps.size else float("nan")
-    # Zero where steps are equal as far as times of this size can show.
+    # Deviations within the rounding of times of this size count as zero.
     rounding = 4.0 * float(np.spacing(np.abs(time).max(initial=1.0)))
     deviation = float(np.percentile(np.abs(steps - median), 90)) if steps.size else float("nan")
     known = channel.values[valid]

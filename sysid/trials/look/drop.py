@@ -26,19 +26,19 @@ from sysid.trials.flight import (
 from sysid.types import FloatArray
 
 STANDARD_GRAVITY = 9.80665
-# Factor on g of lengths read in a wrong unit, and the true unit; the last was read as mm.
+# True unit of length by the factor that a wrong one puts on g; lengths in "m" were read as mm.
 _SCALES = {1.0: "", 1e3: "mm", 1e2: "cm", 1 / 0.0254: "inch", 1 / 0.3048: "foot", 1e-3: "m"}
-# Largest relative error of g that a wrong unit explains: only g tells it from a wrong rate.
+# Largest relative error of g that is left if a wrong unit is the cause [1]; beyond, the rate is wrong.
 _NEAR_UNIT = 0.1
-# Factors on g that a wrong rate or scale may cause, the nearest first; one step moves the end of a fall of
-# 60 ms by less than the half millimetre that shows it. Such a fall must be this long [s].
+# Factors on g that a wrong rate or scale may cause, the nearest first, in steps that move the end of a fall
+# of 60 ms by less than the half millimetre that shows it; and least length of a fall with such a g [s].
 _ODD_GRAVITIES = tuple(1.06 ** (sign * power) for power in range(2, 26) for sign in (1, -1))
 _LONG_ODD_FALL = 0.1
 # Time before a release over which the rotation of a hanging body is averaged [s].
 HANGING = 0.3
 # Time from the touch of the feet until a body on soft legs visibly leaves its flight [s].
 _YIELDING = 0.010
-# Least slope of a board whose markers show a direction; largest angle of a way off an axis [rad].
+# Least slope of a board whose markers show a direction, and largest angle between a way and an axis [rad].
 _SHALLOW, _OFF_AXIS = np.radians(2.0), np.radians(30.0)
 
 
@@ -53,7 +53,7 @@ class DropReport:
     up_error: float
     # Acceleration of the fall itself [m/s²].
     gravity: float
-    # Unit that the lengths seem to have, as options name it, but were not read in; else empty.
+    # Unit that the lengths seem to have, by its name as an option; empty if it is the one they were read in.
     length_unit: str
     # Release [s], None where the body was thrown or carried into the flight; touchdown [s].
     release: float | None
@@ -62,7 +62,7 @@ class DropReport:
     impact_speed: float
     # Height lost between release (or the top of the flight) and touchdown [m].
     fall_height: float
-    # Horizontal way from touchdown to the end of the log, capture axes [m].
+    # Horizontal displacement from touchdown to the end of the log, capture axes [m].
     slide: tuple[float, float, float]
     # Capture axis nearest to the fall of the board's markers, else to a slide of over 20 mm; doubts of it.
     down_slope: str | None
@@ -93,7 +93,7 @@ def inspect_drop(recording: Recording, gravity: float = STANDARD_GRAVITY) -> Dro
         report = _inspect_body(recording, body, channel, gravity)
         if report is None:
             continue
-        # A marker on a limb accelerates as much as a lone one that falls, but not as evenly.
+        # A marker on a moving limb may accelerate by one g too, but not as evenly as a falling body.
         even = (
             abs(report.gravity / gravity - 1.0) < 0.05 and report.up_error < 0.05 and not report.length_unit
         )
@@ -125,7 +125,7 @@ def _inspect_body(recording: Recording, body: str, channel: Channel, gravity: fl
         measured = float(np.linalg.norm(flight[0].acceleration))
         if not unit or abs(measured / gravity - 1.0) < _NEAR_UNIT:
             return _report(recording, body, channel, time, place, *flight, unit)
-    # A wrong rate changes g by its square: the fall is reported with the g that it has.
+    # A wrong rate changes g by its square: the fall is reported with the g that the log shows.
     for share in _ODD_GRAVITIES:
         flight = held_fall(time, position, acceleration, sure, share * gravity)
         if flight is None or time[flight[1]] - flight[0].start < _LONG_ODD_FALL:
@@ -151,7 +151,7 @@ def _report(
     axis = signed_axis(up)
     touchdown = contact_time(time, (position - flight.at(time)) @ axis, end)
     speed = -float(flight.velocity(touchdown) @ axis)
-    # A throw falls from the top of its parabola, or from where the log begins to show it.
+    # A thrown body falls from the top of its parabola, or from its place at the start of the log.
     top = max(float(flight.velocity(float(time[0])) @ axis), 0.0) if not flight.held else 0.0
     fall = speed**2 / (2.0 * measured)
     if not flight.held and top == 0.0:
@@ -223,7 +223,7 @@ def _slope(
         return unknown
     seen = channel.values[channel.valid & (channel.time > channel.time[-1] - 0.15)]
     if np.max(np.ptp(seen, axis=0)) > 5e-3:
-        return unknown  # it still moves
+        return unknown  # the body still moves
     turned = (rest * hanging.inv()).apply(up)
     angle = float(np.arccos(np.clip(turned @ up, -1.0, 1.0)))
     return angle, "tilt between hold and rest: right only where it hung level and all feet stand", False, None
