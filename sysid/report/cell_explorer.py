@@ -26,11 +26,6 @@ class CellAxis:
     values: tuple[float, ...]
     even: bool = False
 
-    @property
-    def texts(self) -> list[str]:
-        """The values as a command states them."""
-        return [f"{value:.12g}" for value in self.values]
-
 
 @dataclass(frozen=True, eq=False)
 class CellChart:
@@ -71,9 +66,10 @@ class CellChart:
             return [[None if not np.isfinite(v) else round(v) for v in row] for row in flat.tolist()]
 
         def axis(chosen: CellAxis) -> dict[str, object]:
-            places = range(len(chosen.values)) if chosen.even else chosen.values
-            edges = cell_edges(np.array(places))
-            return {"name": chosen.name, "unit": chosen.unit, "texts": chosen.texts, "edges": edges.tolist()}
+            edges = cell_edges(np.array(range(len(chosen.values)) if chosen.even else chosen.values)).tolist()
+            # The values as a command states them.
+            texts = [f"{value:.12g}" for value in chosen.values]
+            return {"name": chosen.name, "unit": chosen.unit, "texts": texts, "edges": edges}
 
         return {
             "title": self.title, "x": axis(self.across), "y": axis(self.up), "rows": list(self.rows),

@@ -15,7 +15,7 @@ from sysid.documents import channel_symbol, rounded
 from sysid.fit.result import FitResult
 from sysid.parameter_sets import ParameterSets
 from sysid.report.answer import answer_box
-from sysid.report.drawing import RUNS, as_math, display_of, panel, percent_text
+from sysid.report.drawing import RUNS, as_math, panel, percent_text, unit_of
 from sysid.report.html import (
     NOTHING,
     Html,
@@ -196,7 +196,7 @@ def _view(fit: ComparedFit, trial: OverlaidTrial) -> View:
     """Return the channels of a trial with every fit's prediction, and what each leaves."""
     time, panels = trial.time - trial.time[0], []
     for c in (c for c in range(trial.measured.shape[1]) if trial.valid[:, c].any()):
-        _, unit, factor = display_of(fit.fit, c)
+        unit, factor = unit_of(fit.fit, c)
         measured = factor * np.where(trial.valid[:, c], trial.measured[:, c], np.nan)
         curves = [Curve("measured", measured, "ink", "dots" if len(time) <= 400 else "line")]
         errors = []

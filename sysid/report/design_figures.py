@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from sysid.landing.design_study import Change, DesignStudy
+from sysid.landing.design_study import DesignStudy
 from sysid.report.drawing import BEST, WIDTH, panels
 from sysid.types import FloatArray
 
@@ -55,7 +53,12 @@ def _curves(study: DesignStudy, only: int | None = None) -> Figure:
                 if which.any():
                     x, y = values[which], steepest[chosen, m][which]
                     panel.plot(x, y, color=colour, marker=marker, markersize=4, linestyle="none")
-        _axis(panel, change, values)
+        panel.set_xlabel(change.label)
+        if change.kind != "reversal":
+            panel.set_xscale("log")
+            panel.set_xticks(_apart(values, change.neutral))
+            panel.xaxis.set_minor_locator(NullLocator())
+            panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
         if k % min(count, 3) == 0:
             panel.set_ylabel("slope [deg]")
         panel.set_ylim(0, 1.05 * top)
@@ -64,16 +67,22 @@ def _curves(study: DesignStudy, only: int | None = None) -> Figure:
         for m, speed in enumerate(study.settings.speeds)
     ]
     handles.append(Line2D([], [], color="0.3", label="width of slopes\nlanded on"))
-    markers = [("o", _STEEPEST)] + [("^", "or more: no\nsteeper one tried")] * bool(study.at_edge.any())
-    for marker, words in markers:
+    markers = {"o": _STEEPEST} | ({"^": "or more: no\nsteeper one tried"} if study.at_edge.any() else {})
+    for marker, words in markers.items():
         handles.append(
             Line2D([], [], color="0.3", marker=marker, markersize=4, linestyle="none", label=words)
         )
-    where: dict[str, Any] = {"loc": "outside lower center", "ncols": 3, "fontsize": 8} if alone else {}
-    figure.legend(
-        handles=handles, frameon=False, title="touchdown at", **{"loc": "outside right upper"} | where
-    )
-    if not alone:
+    if alone:
+        figure.legend(
+            handles=handles,
+            frameon=False,
+            title="touchdown at",
+            loc="outside lower center",
+            ncols=3,
+            fontsize=8,
+        )
+    else:
+        figure.legend(handles=handles, frameon=False, title="touchdown at", loc="outside right upper")
         figure.suptitle(_title(study), fontsize="medium")
     return figure
 
@@ -110,21 +119,10 @@ def _map(study: DesignStudy, only: int | None = None) -> Figure:
         if k % columns == 0:
             panel.set_ylabel(second.label)
     figure.colorbar(mesh, ax=every, label="width of slopes landed on [deg]")
-    if only is not None:
-        return figure
-    figure.suptitle(
-        f"{_title(study)}\nnumbers: {_STEEPEST} [deg]; frame: the sets as they are", fontsize="medium"
-    )
+    if only is None:
+        below = f"numbers: {_STEEPEST} [deg]; frame: the sets as they are"
+        figure.suptitle(f"{_title(study)}\n{below}", fontsize="medium")
     return figure
-
-
-def _axis(panel: Axes, change: Change, values: FloatArray) -> None:
-    panel.set_xlabel(change.label)
-    if change.kind != "reversal":
-        panel.set_xscale("log")
-        panel.set_xticks(_apart(values, change.neutral))
-        panel.xaxis.set_minor_locator(NullLocator())
-        panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
 
 
 def _apart(values: FloatArray, neutral: float) -> list[float]:

@@ -38,18 +38,8 @@ WIDTH = 4.3
 
 # Number of a curve's points beyond which only the least and the largest of every stretch are drawn.
 _POINTS = 900
-# Display of a channel: label, unit, and the factor from SI.
-_DISPLAY: dict[str, tuple[str, str, float]] = {
-    "x_B": (r"$x_B$", "m", 1.0),
-    "z_B": (r"$z_B$", "m", 1.0),
-    "x_B_rate": (r"$\dot{x}_B$", "m/s", 1.0),
-    "z_B_rate": (r"$\dot{z}_B$", "m/s", 1.0),
-    "q_B": (r"$q_B$", "deg", 180.0 / np.pi),
-    "torque": ("torque", "mN·m", 1e3),
-    "stator_torque": ("stator torque", "mN·m", 1e3),
-    "speed": (r"speed $\Omega$", "rad/s", 1.0),
-    "thrust": ("thrust", "N", 1.0),
-}
+# Unit in which a channel is shown where that is not its SI unit, and the factor to it.
+_UNITS = {"q_B": ("deg", 180.0 / np.pi), "torque": ("mN·m", 1e3), "stator_torque": ("mN·m", 1e3)}
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _FORMATS = (".png", ".pdf", ".svg")
 _INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
@@ -164,9 +154,9 @@ def axis_label(name: str, unit: str) -> str:
     return f"{name} [{unit or '1'}]"
 
 
-def display_of(fit: FitResult, c: int) -> tuple[str, str, float]:
-    """Return how channel number `c` is shown: label, unit, factor from SI."""
-    return _DISPLAY.get(fit.channels[c], (fit.channels[c], fit.channel_units[c], 1.0))
+def unit_of(fit: FitResult, c: int) -> tuple[str, float]:
+    """Return the unit in which channel number `c` is shown, and the factor to it from SI."""
+    return _UNITS.get(fit.channels[c], (fit.channel_units[c], 1.0))
 
 
 def plain_powers(*axis: Axis) -> None:

@@ -34,6 +34,7 @@ _ONE_CONTACT = 5e-3
 # Speed below which a foot on high friction sticks [m/s]: integration leaves a stuck foot less
 # speed than this, and a slip passes it within a millisecond.
 _STICKS = 1e-3
+# Key of a drop's state at the window's start in the provenance of a fit.
 START = "initial_state"
 FEET = ("rear", "front")
 
@@ -60,7 +61,7 @@ class DropReplay:
     feet : (n, 2, 2) array
         Rear and front, (x, z) [m].
     normal_force, friction_force, slip_speed : (n, 2) array
-        Of the rear and the front foot, along the surface's normal or down-slope [N, m/s].
+        Along the surface's normal or down-slope, rear and front foot [N, m/s].
     contacts : tuple of Contact
         In the order of time.
     """
@@ -114,11 +115,19 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
             f"{fit.name}, {trial.name}: the fit lacks the state in which the drop starts; fit again"
         )
     values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[0]), strict=True))
-    height, start = _start_of(values, trial.name, np.array(log[START], dtype=np.float64))
+    # Offsets of height and time that a fit may have found for the drop shift its start.
+    height = values.get(f"height_offset[{trial.name}]", 0.0)
+    delay = values.get(f"start_offset[{trial.name}]", 0.0)
+    start = np.array(log[START], dtype=np.float64)
+    start[:3] -= start[3:] * delay
+    start[1] -= 0.5 * values["gravity"] * delay**2 + height
+    start[4] += values["gravity"] * delay
     slope = float(np.radians(log["slope_deg"]))
-    span = float(trial.time[-1] - trial.time[0])
-    time = np.arange(0.0, span + 0.5 / RATE, 1.0 / RATE)
-    measured = _measured(fit, trial, time)
+    frames = trial.time - trial.time[0]
+    time = np.arange(0.0, frames[-1] + 0.5 / RATE, 1.0 / RATE)
+    columns = [fit.channels.index(name) for name in ("x_B", "z_B", "q_B")]
+    seen = np.where(trial.valid, trial.measured, np.nan)[:, columns]
+    measured = np.stack([np.interp(time, frames, each) for each in seen.T], axis=1)
     surface = str(fit.settings.get("surface", "lf"))
     tolerance = float(fit.settings.get("tolerance", 3e-4))
     # A row of the table that an older fit lacks takes its default.
@@ -175,27 +184,6 @@ def foot_points(state: FloatArray, values: Mapping[str, float]) -> FloatArray:
     return placed(rest.joints, state[:, None, :3]) - length[..., None] * directions(lean)[1]
 
 
-def _start_of(values: dict[str, float], name: str, state: FloatArray) -> tuple[float, FloatArray]:
-    """Return a drop's height offset, if any, and its start shifted by its offsets of height and time."""
-    height = values.get(f"height_offset[{name}]", 0.0)
-    delay = values.get(f"start_offset[{name}]", 0.0)
-    out = state.copy()
-    out[:3] -= state[3:] * delay
-    out[1] -= 0.5 * values["gravity"] * delay**2 + height
-    out[4] += values["gravity"] * delay
-    return height, out
-
-
-def _measured(fit: FitResult, trial: TrialResult, time: FloatArray) -> FloatArray:
-    out = np.full((len(time), 3), np.nan)
-    frames = trial.time - trial.time[0]
-    for column, name in enumerate(("x_B", "z_B", "q_B")):
-        c = fit.channels.index(name)
-        values = np.where(trial.valid[:, c], trial.measured[:, c], np.nan)
-        out[:, column] = np.interp(time, frames, values)
-    return out
-
-
 def _contacts(time: FloatArray, normal_force: FloatArray) -> tuple[Contact, ...]:
     contacts: list[Contact] = []
     for foot in (0, 1):
@@ -210,37 +198,27 @@ def _contacts(time: FloatArray, normal_force: FloatArray) -> tuple[Contact, ...]
     return tuple(sorted(contacts, key=lambda contact: contact.start))
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A drop to be played: replays of one drop by the name of their fit, the first one judged.
+def animation(scenes: Mapping[str, Mapping[str, DropReplay]], static: Html = NOTHING) -> Html:
+    """Return drops to be played, stepped through and slowed down.
 
-    `key` ties it to the traces of the drop.
+    Each drop has the key that its traces have; its replays by the name of their fit are played beside each
+    other, the first one is judged. Nothing moves until a reader asks for it; where a system asks for reduced
+    motion, playing steps from one instant of Fig. 7 to the next. `static` is what paper shows instead.
     """
-
-    key: str
-    replays: dict[str, DropReplay]
-
-
-def animation(scenes: Sequence[Scene], static: Html = NOTHING) -> Html:
-    """Return drops to be played, stepped through and slowed down; replays of one drop beside each other.
-
-    Nothing moves until a reader asks for it; where a reader's system asks for reduced motion, playing steps
-    from one instant of Fig. 7 to the next. `static` is what paper shows instead.
-    """
-    firsts = [next(iter(scene.replays.values())) for scene in scenes]
+    firsts = [next(iter(replays.items())) for replays in scenes.values()]
     # Drops of two campaigns may have one name.
-    names = [next(iter(scene.replays)) for scene in scenes]
+    several = len({name for name, _ in firsts}) > 1
     choices = [
-        f"{f'{name}, ' if len(set(names)) > 1 else ''}{drop.name}: "
-        f"{math.degrees(drop.slope):.0f}°, {USES[drop.use]}"
-        for name, drop in zip(names, firsts, strict=True)
+        f"{f'{name}, ' if several else ''}{drop.name}: {math.degrees(drop.slope):.0f}°, {USES[drop.use]}"
+        for name, drop in firsts
     ]
+    drops = [drop for _, drop in firsts]
     return filled(
         "animation.html.j2",
-        names=", ".join(drop.name for drop in firsts),
+        names=", ".join(drop.name for drop in drops),
         choices=choices,
-        steepest=steepest(firsts),
-        data=embedded({"drops": [_document(scene) for scene in scenes]}),
+        steepest=steepest(drops),
+        data=embedded({"drops": [_document(key, replays) for key, replays in scenes.items()]}),
         static=static,
     )
 
@@ -250,17 +228,17 @@ def steepest(drops: Sequence[DropReplay]) -> int:
     return max(range(len(drops)), key=lambda i: drops[i].slope)
 
 
-def _document(scene: Scene) -> dict[str, object]:
-    first = next(iter(scene.replays.values()))
+def _document(key: str, replays: Mapping[str, DropReplay]) -> dict[str, object]:
+    first = next(iter(replays.values()))
     return {
-        "key": scene.key,
+        "key": key,
         "name": first.name,
         "use": USES[first.use],
         "slope": round(float(first.slope), 5),
         "step": _EVERY / RATE,
         "snapshots": [[round(t, 4), what] for t, what in first.first_contacts()],
         "contacts": [[c.foot, round(c.start, 4), round(c.end, 4)] for c in first.contacts],
-        "fits": [{"name": name, **_movement(drop)} for name, drop in scene.replays.items()],
+        "fits": [{"name": name, **_movement(drop)} for name, drop in replays.items()],
     }
 
 

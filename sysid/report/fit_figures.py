@@ -28,11 +28,11 @@ from sysid.report.drawing import (
     WIDTH,
     as_math,
     axis_label,
-    display_of,
     panel,
     paper,
     percent_text,
     plain_powers,
+    unit_of,
 )
 from sysid.report.plots import Curve, Panel, View, figure_of
 from sysid.trust.documents import FreeParameter, TrustDocument
@@ -83,7 +83,7 @@ def trial_view(
     band, noise = known.band.get(trial.name), known.noise.get(trial.name)
     beside = next((each for each in other.trials if each.name == trial.name), None) if other else None
     for c in (c for c in range(len(fit.channels)) if trial.valid[:, c].any()):
-        _, unit, factor = display_of(fit, c)
+        unit, factor = unit_of(fit, c)
         measured = np.where(trial.valid[:, c], trial.measured[:, c], np.nan)
         curves = []
         if band is not None:
@@ -211,7 +211,8 @@ def figure_spectrum(
     """Draw the spectra of one channel before the filter, and the filter's gain [dB] over frequency [Hz]."""
     figure = Figure(figsize=(WIDTH, 3.2))
     axes = figure.add_axes((0.19, 0.15, 0.64, 0.81))
-    name, unit, factor = display_of(fit, channel)
+    unit, factor = unit_of(fit, channel)
+    name = as_math(channel_symbol(fit.channels[channel]))
     for spectrum in spectra:
         density = factor * spectrum.density[:, channel]
         if np.any(np.isfinite(density)):

@@ -12,7 +12,7 @@ from sysid.errors import ExportError
 from sysid.fit.result import FitResult, TrialResult
 from sysid.gear.surfaces import SURFACES, Surface
 from sysid.report.diagrams import figure_geometry, figure_modes, gear_sketch, mode_shares
-from sysid.report.drop_replay import FEET, DropReplay, Scene, animation, replay_drop, steepest
+from sysid.report.drop_replay import FEET, DropReplay, animation, replay_drop, steepest
 from sysid.report.fit_figures import Bars
 from sysid.report.fit_report import FitReport, titled
 from sysid.report.html import NOTHING, Html, paragraph, picture
@@ -104,7 +104,7 @@ class GearReport(FitReport):
             return paragraph(
                 "No animation: the fit lacks the states in which its drops start; fit again.", "note"
             )
-        scenes = []
+        scenes = {}
         for fit, trial in self._each():
             if drop := self.replay(fit, trial):
                 replays = {fit.name: drop}
@@ -113,7 +113,7 @@ class GearReport(FitReport):
                     name = beside.fit.name
                     name += " (second)" if name == fit.name else ""
                     replays[name] = beside.replays[False, trial.name]
-                scenes.append(Scene(self.key(fit, trial), replays))
+                scenes[self.key(fit, trial)] = replays
         return animation(scenes, self.snapshots())
 
     def _first(self) -> int:

@@ -21,11 +21,10 @@ from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
 from sysid.parameter_sets import ParameterRecord
 from sysid.report import diagrams, gear_report, model_notes
 from sysid.report.answer import Reopened
-from sysid.report.drawing import as_math, display_of, thinned
+from sysid.report.drawing import as_math, thinned, unit_of
 from sysid.report.drop_replay import (
     START,
     DropReplay,
-    Scene,
     animation,
     drone_of,
     foot_points,
@@ -136,7 +135,7 @@ def test_traces_are_the_samples_of_the_fit_with_their_units(channels, tmp_path):
     signals = view["panels"][::2]
     assert len(signals) == len(fit.channels)
     assert all(panel["unit"] for panel in view["panels"])
-    trial, factor = fit.trials[0], display_of(fit, 0)[2]
+    trial, factor = fit.trials[0], unit_of(fit, 0)[1]
     np.testing.assert_allclose(unpacked(view["x"]), trial.time - trial.time[0], rtol=1e-6)
     curves = {curve["label"]: unpacked(curve["y"]) for curve in signals[0]["curves"]}
     np.testing.assert_allclose(curves["best set"], factor * trial.simulated[0, :, 0], rtol=1e-6)
@@ -390,7 +389,7 @@ def test_the_animation_holds_the_numbers_and_no_way_out_of_its_script(drop_fit):
     trial = replace(drop_fit.trials[0], name=NASTY)
     log = {NASTY: drop_fit.provenance["logs"]["drop-1"]}
     drop = replay_drop(replace(drop_fit, trials=(trial,), provenance={"logs": log}), trial)
-    text = animation([Scene("a", {"fit": drop})]).text
+    text = animation({"a": {"fit": drop}}).text
     assert text.count("</script") == 1
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text, re.DOTALL).group(1))
     (document,) = data["drops"]
