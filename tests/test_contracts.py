@@ -221,7 +221,7 @@ def test_no_pickle_and_no_eval(sources):
         assert not found, f"{name} holds {found}"
 
 
-@pytest.mark.parametrize("heavy", ["numba", "pymoo", "pandas", "matplotlib", "scipy", "h5py"])
+@pytest.mark.parametrize("heavy", ["numpy", "numba", "pymoo", "pandas", "matplotlib", "scipy", "h5py"])
 def test_importing_sysid_is_light(heavy):
     code = f"import sys, sysid, sysid.cli; sys.exit({heavy!r} in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

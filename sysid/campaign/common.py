@@ -78,8 +78,9 @@ class ParameterChoices(TomlTable):
         free = tuple(n for n in default_free if n not in self.fixed) if self.free is None else self.free
         if not free:
             raise CampaignError("parameters.free is empty; name at least one parameter to identify")
-        for name in free:
-            _unit_of("free", name, table)
+        with _prefixed("parameters.free: "):
+            for name in free:
+                table[name]  # refuses an unknown name
         duplicates = {name for name in free if free.count(name) > 1}
         if duplicates:
             raise CampaignError(f"parameters.free names {', '.join(sorted(duplicates))} twice; name it once")
@@ -103,11 +104,6 @@ class ParameterChoices(TomlTable):
                 raise CampaignError(
                     f"parameters.bounds.{name}: the parameter is not free, so bounds do nothing; "
                     f"name it in parameters.free or drop its bounds"
-                )
-            if not low < high:
-                raise CampaignError(
-                    f"parameters.bounds.{name}: lower bound {pair[0]} is not below upper bound {pair[1]}; "
-                    f"swap or widen them"
                 )
             if low < 0 <= table[name].lower:
                 raise CampaignError(
@@ -150,14 +146,10 @@ def _prefixed(prefix: str) -> Iterator[None]:
         raise CampaignError(f"{prefix}{error}") from error
 
 
-def _unit_of(where: str, name: str, table: ParameterTable) -> str:
-    with _prefixed(f"parameters.{where}: "):
-        return table[name].unit
-
-
 def _quantity_of(where: str, name: str, text: str, table: ParameterTable) -> float:
     """Return a quantity of `parameters.WHERE.NAME` in the unit of the model's row."""
-    unit = _unit_of(where, name, table)
+    with _prefixed(f"parameters.{where}: "):
+        unit = table[name].unit
     with _prefixed(f"parameters.{where}.{name}: "):
         return parse_quantity(text, unit)
 

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sysid.campaign import TrialUse
 from sysid.errors import CampaignError
 from sysid.gear import model
 from sysid.synthetic.folder import Content, refuse_existing, truth_text, write_campaign
@@ -25,7 +26,6 @@ from sysid.trials.capture import CaptureFrame
 from sysid.types import FloatArray
 
 Export = Literal["motive", "motive-mm", "motive-euler", "pose-table"]
-Use = Literal["fit", "validate"]
 
 _BODY = "F450"
 _BOARD_MARKERS = ("board-1", "board-2", "board-3")
@@ -60,7 +60,7 @@ class DropPlan:
 
     slope: float
     impact_speed: float
-    use: Use = "fit"
+    use: TrialUse = "fit"
     export: Export = "motive"
 
     def __post_init__(self) -> None:
@@ -77,7 +77,7 @@ class DropPlan:
         return f"{math.degrees(self.slope):.4g}deg-{self.impact_speed:.2f}mps"
 
 
-def _plan(slope_deg: float, speed: float, use: Use = "fit", export: Export = "motive") -> DropPlan:
+def _plan(slope_deg: float, speed: float, use: TrialUse = "fit", export: Export = "motive") -> DropPlan:
     return DropPlan(math.radians(slope_deg), speed, use, export)
 
 

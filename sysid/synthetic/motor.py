@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from sysid.campaign import TrialUse
 from sysid.errors import CampaignError
 from sysid.motor import model
 from sysid.synthetic import bench
@@ -56,7 +57,7 @@ class TrialPlan:
 
     name: str
     direction: Direction
-    use: Literal["fit", "validate"]
+    use: TrialUse
     idle: float
     levels: tuple[float, ...]
     hold: float

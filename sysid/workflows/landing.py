@@ -35,7 +35,17 @@ def simulate_landings(options: SimulateOptions) -> tuple[list[Landing], list[Pat
 
     Raises `SysidError` when the sets, the controller or the place to write cannot be used.
     """
-    files = _files(options.out, options.force)
+    out, files = options.out, []
+    if out is not None:
+        kind = out.suffix.lower()
+        if kind not in (".csv", ".h5", ".hdf5"):
+            raise ExportError(
+                f"{out}: unknown format {out.suffix!r}; give --out a name that ends in .csv or .h5"
+            )
+        parts = ("events", "outcomes") if kind == ".csv" else ()
+        files = [out, *(out.with_name(f"{out.stem}-{what}.csv") for what in parts)]
+        for path in files:
+            check_file(path, force=options.force, error_type=ExportError)
     controller = controller_of(options, options.motors.ideal_reversal)
     (fleet,), origin = open_fleets(options.motors, [options.sets])
     landings = [land_drone(drone, options, controller) for drone in fleet]
@@ -82,21 +92,6 @@ def print_landings(landings: Sequence[Landing], files: Sequence[Path], json: boo
             print(f"wrote {path}")
 
 
-def _files(out: Path | None, force: bool) -> list[Path]:
-    """Return the files to write; refuse files that exist."""
-    if out is None:
-        return []
-    kind = out.suffix.lower()
-    if kind not in (".csv", ".h5", ".hdf5"):
-        raise ExportError(f"{out}: unknown format {out.suffix!r}; give --out a name that ends in .csv or .h5")
-    files = [out]
-    if kind == ".csv":
-        files += [out.with_name(f"{out.stem}-{what}.csv") for what in ("events", "outcomes")]
-    for path in files:
-        check_file(path, force=force, error_type=ExportError)
-    return files
-
-
 def outcome_row(rank: int, landing: Landing) -> dict[str, object]:
     """Return the outcome of a landing."""
     return {
@@ -113,20 +108,6 @@ def headed(row: Mapping[str, object]) -> dict[str, object]:
     return {label(name): value for name, value in row.items()}
 
 
-def conditions(landing: Landing) -> dict[str, object]:
-    """Return under what a landing happened: surface, controller, touchdown and rules."""
-    scenario, rules = landing.scenario, landing.rules
-    return {
-        "surface": landing.drone.surface, "controller": landing.label,
-        "slope [deg]": math.degrees(scenario.slope), "touchdown speed [m/s]": scenario.speed,
-        "pitch [deg]": math.degrees(scenario.pitch), "pitch rate [rad/s]": scenario.pitch_rate,
-        "horizontal speed [m/s]": scenario.horizontal_speed,
-        "horizon [s]": rules.horizon, "short [m]": rules.short, "long [m]": rules.long,
-        "rest speed [m/s]": rules.rest_speed, "rest turn [rad/s]": rules.rest_turn,
-        "rest time [s]": rules.rest_time, "flip angle [deg]": math.degrees(rules.flip_angle),
-    }  # fmt: skip
-
-
 def _write(
     files: Sequence[Path],
     landings: Sequence[Landing],
@@ -136,13 +117,22 @@ def _write(
     if len(files) == 1:
         write_file(files[0], LANDINGS.content(lambda file: _hdf5(file, landings, rows, sources)), ExportError)
         return
-    events, histories = [], []
-    for rank, landing in enumerate(landings, start=1):
-        events += [headed({"set": rank} | row) for row in landing.event_rows]
+    events, histories, outcomes = [], [], []
+    for rank, (row, landing) in enumerate(zip(rows, landings, strict=True), start=1):
+        events += [headed({"set": rank} | event) for event in landing.event_rows]
         histories += [
             dict(zip(("set", *HISTORY), (rank, *line), strict=True)) for line in landing.samples.tolist()
         ]
-    outcomes = [headed(row) | conditions(landing) for row, landing in zip(rows, landings, strict=True)]
+        scenario, rules = landing.scenario, landing.rules
+        outcomes.append(headed(row) | {
+            "surface": landing.drone.surface, "controller": landing.label,
+            "slope [deg]": math.degrees(scenario.slope), "touchdown speed [m/s]": scenario.speed,
+            "pitch [deg]": math.degrees(scenario.pitch), "pitch rate [rad/s]": scenario.pitch_rate,
+            "horizontal speed [m/s]": scenario.horizontal_speed,
+            "horizon [s]": rules.horizon, "short [m]": rules.short, "long [m]": rules.long,
+            "rest speed [m/s]": rules.rest_speed, "rest turn [rad/s]": rules.rest_turn,
+            "rest time [s]": rules.rest_time, "flip angle [deg]": math.degrees(rules.flip_angle),
+        })  # fmt: skip
     texts = (csv_text(histories), csv_text(events, ("set", *map(label, EVENT))), csv_text(outcomes))
     for path, text in zip(files, texts, strict=True):
         write_file(path, text.encode("utf-8"), ExportError)

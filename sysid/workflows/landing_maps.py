@@ -12,7 +12,7 @@ from sysid.journal import notice, tell
 from sysid.landing.controllers import Controller
 from sysid.landing.drone import Motors
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
-from sysid.landing.maps import Fleets, LandingMap, landing_maps, map_identity
+from sysid.landing.maps import Fleets, landing_maps, map_identity
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments, strangers
 from sysid.landing.static_limits import rigid_limits, set_down_limit
@@ -154,23 +154,20 @@ def _print(
     print_table(maps_table(counts))
     for drawn in content.maps:
         chosen = of_map(real or (), drawn)
-        if chosen:
-            _print_confusion(drawn, chosen)
+        if not chosen:
+            continue
+        compared = confusion(chosen, drawn)
+        total = int(compared.counts.sum())
+        sentence = f"{drawn.title}: {compared.agreeing} of {total} real landings agree with the likeliest "
+        sentence += "class of their cell"
+        sentence += f", {compared.outside} outside the map" if compared.outside else ""
+        sentence += f", {compared.lost} in cells that could not be simulated" if compared.lost else ""
+        # Above the table: a title would be folded to the width of the few short columns.
+        print_lines([sentence])
+        rows = [
+            (word, "", *map(str, counts))
+            for word, counts in zip(compared.words, compared.counts.tolist(), strict=True)
+        ]
+        heads = ("observed", "simulated:", *(outcome.name.lower() for outcome in OUTCOMES))
+        print_table(listed("", rows, heads, texts=2))
     print(f"wrote {options.out} and {picture}")
-
-
-def _print_confusion(drawn: LandingMap, chosen: Sequence[Experiment]) -> None:
-    compared = confusion(chosen, drawn)
-    total = int(compared.counts.sum())
-    sentence = f"{drawn.title}: {compared.agreeing} of {total} real landings agree with the likeliest class "
-    sentence += "of their cell"
-    sentence += f", {compared.outside} outside the map" if compared.outside else ""
-    sentence += f", {compared.lost} in cells that could not be simulated" if compared.lost else ""
-    # Above the table: a title would be folded to the width of the few short columns.
-    print_lines([sentence])
-    rows = [
-        (word, "", *map(str, counts))
-        for word, counts in zip(compared.words, compared.counts.tolist(), strict=True)
-    ]
-    heads = ("observed", "simulated:", *(outcome.name.lower() for outcome in OUTCOMES))
-    print_table(listed("", rows, heads, texts=2))

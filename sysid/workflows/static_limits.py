@@ -14,8 +14,8 @@ from sysid.report.landing_tables import limits_table
 from sysid.workflows.show import load_sets
 
 
-def static_limits(source: str | Path, thrusts: Sequence[float]) -> tuple[str, list[dict[str, object]]]:
-    """Return the name of a gear's sets and the limits of every set under every thrust [N], for JSON.
+def print_static_limits(source: str | Path, thrusts: Sequence[float], json: bool = False) -> None:
+    """Print the static limits of every set of a gear under every thrust [N].
 
     Rigid legs, then the fitted ones of the set, put on the slope at once.
 
@@ -39,11 +39,5 @@ def static_limits(source: str | Path, thrusts: Sequence[float]) -> tuple[str, li
                 "set_down_deg": math.degrees(put.slope),
                 "set_down_how": put.how,
             })  # fmt: skip
-    return sets.name, rows
-
-
-def print_static_limits(source: str | Path, thrusts: Sequence[float], json: bool = False) -> None:
-    """Print the static limits of every set of a fit folder or file."""
-    name, rows = static_limits(source, thrusts)
-    if not print_result({"name": name, "limits": rows}, json):
-        print_table(limits_table(name, rows))
+    if not print_result({"name": sets.name, "limits": rows}, json):
+        print_table(limits_table(sets.name, rows))

@@ -272,17 +272,9 @@ def json_keys():
     """Return the keys of what every cheap command prints with ``--json``."""
     lf, other, bench = own_copy("gear-lf"), own_copy("gear-lf"), own_copy("motor")
     small = (
-        "--population",
-        8,
-        "--runs",
-        1,
-        "--max-generations",
-        1,
-        "--finish",
-        "none",
-        "--no-check",
-        "--no-trust",
-    )
+        "--population", 8, "--runs", 1, "--max-generations", 1, "--finish", "none",
+        "--no-check", "--no-trust",
+    )  # fmt: skip
     bench_logs = [SAMPLES / "motor" / log for log in ("forward-1.csv", "reverse-1.h5", "static-forward.csv")]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

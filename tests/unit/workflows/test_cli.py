@@ -1,9 +1,7 @@
 """The command line as a user meets it: results, and refusals in one sentence with exit code 2."""
 
 import ctypes
-import errno
 import json
-import os
 import re
 import signal
 import subprocess
@@ -232,13 +230,28 @@ FIRST = "drop-1-5deg-0.50mps.csv"
         (FIRST, "drop-99.csv", ("log 'drop-99.csv' does not exist",)),
         ('down_slope = "-z"', 'down_slope = "+z"', ("surface", "capture.down_slope")),
         ('up = "+y"', 'up = "+x"', ("nothing falls", "capture.up")),
-        ("[fit]", "[fit]\npopulation = 2", ("fit.population",)),
         ("[fit]", '[parameters.bounds]\njoint_dx = ["90 mm", "50 mm"]\n[fit]', ("joint_dx", "not below")),
+        ("seed = 1", 'seed = "two"', "fit.seed: expected a whole number, found 'two'"),
+        ("runs = 5", "population = 3", "fit.population: expected at least 8, found 3"),
+        ("[fit]", '[fit]\nfinish = "soon"', "fit.finish: expected 'least-squares', 'cmaes' or 'none', found"),
+        ("[surface]", "[[surface]]", "surface: expected a table"),
+        ('name = "drop-1"', 'name = ""', "expected text that is not empty"),
+        ('name = "drop-1"', f'name = "{"x" * 10_000}"', "expected at most 100 characters"),
+        (
+            'name = "drop-1"',
+            'name = "a\\nb"',
+            "cannot be seen; use a name of one plain line",
+        ),
+        ('name = "drop-1"', 'name = "a\\u202eb"', "'a\\u202eb' has characters that cannot be seen"),
+        ('log = "drop-1', f'log = "{"x" * 10_000}', "does not exist"),
     ],
 )
-def test_typing_mistakes_in_the_campaign(old, new, words, drops, refused):
+def test_mistakes_in_the_campaign_are_refused_shortly_and_in_our_words(old, new, words, drops, refused):
     edit(drops / "campaign.toml", old, new)
-    refused(words, "fit-gear", drops / "campaign.toml", *SMALL)
+    said = refused(words, "fit-gear", drops / "campaign.toml", *SMALL)
+    assert "Input" not in said
+    assert "should" not in said
+    assert len(said) < 1000
     assert not Path("fits").exists()
 
 
@@ -298,21 +311,6 @@ def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, trut
     code, _, err = run("fit-gear", drops / "campaign.toml", *SMALL[:-1])
     assert code == 0
     assert re.search(r"warning: (trial ')?drop-1'?: roll reaches 1[4-6] deg", err)
-
-
-def test_a_full_disk_during_export_leaves_the_old_file(drops, monkeypatch, run, refused):
-    assert run("fit-gear", drops / "campaign.toml", *SMALL)[0] == 0
-    folder = Path("fits") / "synthetic-lf"
-    assert run("export", folder, "--out", "sets.json")[0] == 0
-    before = Path("sets.json").read_bytes()
-
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    refused(["sets.json", "space"], "export", folder, "--out", "sets.json", "--force")
-    assert Path("sets.json").read_bytes() == before
-    assert [p.name for p in Path().iterdir() if p.name.startswith("sets")] == ["sets.json"]
 
 
 def test_foreign_and_missing_fits(tmp_path, refused):
@@ -408,32 +406,6 @@ def test_what_nobody_foresaw_is_one_line_and_a_trace_in_a_file(tmp_path, monkeyp
     assert "in broken" in text
     with pytest.raises(LookupError):
         run("show", "a fit", "--debug")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("seed = 1", 'seed = "two"', "fit.seed: expected a whole number, found 'two'"),
-        ("runs = 5", "population = 3", "fit.population: expected at least 8, found 3"),
-        ("[fit]", '[fit]\nfinish = "soon"', "fit.finish: expected 'least-squares', 'cmaes' or 'none', found"),
-        ("[surface]", "[[surface]]", "surface: expected a table"),
-        ('name = "drop-1"', 'name = ""', "expected text that is not empty"),
-        ('name = "drop-1"', f'name = "{"x" * 10_000}"', "expected at most 100 characters"),
-        (
-            'name = "drop-1"',
-            'name = "a\\nb"',
-            "has characters that cannot be seen; use a name of one plain line",
-        ),
-        ('name = "drop-1"', 'name = "a\\u202eb"', "'a\\u202eb' has characters that cannot be seen"),
-        ('log = "drop-1', f'log = "{"x" * 10_000}', "does not exist"),
-    ],
-)
-def test_refusals_of_a_campaign_are_short_and_in_our_words(old, new, words, drops, refused):
-    edit(drops / "campaign.toml", old, new)
-    said = refused(words, "check", drops / "campaign.toml")
-    assert "Input" not in said
-    assert "should" not in said
-    assert len(said) < 1000
 
 
 def test_what_is_no_fit_and_what_is_a_fit_of_another_kind(tmp_path, refused):
