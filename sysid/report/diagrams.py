@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, FancyBboxPatch
 
 from sysid.gear.surfaces import high_friction
-from sysid.report.drawing import Point, arrow, directions, draw_line, panel
+from sysid.report.drawing import Point, Style, arrow, directions, draw_line, panel
 from sysid.report.drop_replay import Drone, DropReplay, drone_of
 from sysid.report.html import Html
 from sysid.report.snapshots import BODY, FRICTION, NORMAL, draw_drone, draw_slope
@@ -95,7 +95,7 @@ def _lengths(axes: Axes, drone: Drone, unit: float, arm: float) -> None:
         dimension((0, z), (x, z))
         _write(axes, (-6, z), f"${symbol}$ = {x:.0f} mm", _DIMENSION, fontsize=8)
     # The depth of the feet on the left, of the joints on the right.
-    left: dict[str, Any] = {"rotation": 90}
+    left: Style = {"rotation": 90}
     for side, x, (start, z), symbol, height, look in (
         (-1, -arm - 0.3 * unit, drone.feet[0], "dz_f", 0.3, left),
         (1, arm + 0.12 * unit, joint, "dz_j", 0.5, {"ha": "left"}),
@@ -131,7 +131,7 @@ def _forces(axes: Axes, drone: Drone, unit: float, along: FloatArray, normal: Fl
 
 def _write(axes: Axes, place: Point, words: str, colour: str, **look: Any) -> None:
     """Write words at a place, by default to its left."""
-    chosen: dict[str, Any] = {"fontsize": 9, "ha": "right", "va": "center"} | look
+    chosen: Style = {"fontsize": 9, "ha": "right", "va": "center"} | look
     axes.text(float(place[0]), float(place[1]), words, color=colour, **chosen)
 
 
@@ -212,7 +212,7 @@ def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
     axes.set_axis_off()
     places = dict(zip(_FEET, ((0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0)), strict=True))
     for mode, (x, y) in places.items():
-        look: dict[str, Any] = {"facecolor": "white", "edgecolor": BODY, "linewidth": 1.4, "zorder": 3}
+        look: Style = {"facecolor": "white", "edgecolor": BODY, "linewidth": 1.4, "zorder": 3}
         style = "round,pad=0.02,rounding_size=0.1"
         axes.add_patch(FancyBboxPatch((x - 0.36, y - 0.2), 0.72, 0.4, boxstyle=style, **look))
         # Shares of the time on the ground.

@@ -45,8 +45,10 @@ _FORMATS = (".png", ".pdf", ".svg")
 _INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
 
 
+# Keyword arguments of matplotlib.
+Style = dict[str, Any]
 # Drawing of each look of a curve, and of the bars of a legend.
-LOOKS: dict[str, dict[str, Any]] = {
+LOOKS: dict[str, Style] = {
     "line": {"linewidth": 1.3},
     "thin": {"linewidth": 0.8},
     "thick": {"linewidth": 2.2},
@@ -119,7 +121,7 @@ def arrow(
     axes.annotate("", (end[0], end[1]), (start[0], start[1]), zorder=zorder, arrowprops=chosen)
 
 
-def paper(pad: float, **look: Any) -> dict[str, Any]:
+def paper(pad: float, **look: Any) -> Style:
     """Return the white box behind words that a curve may cross."""
     return {"facecolor": "white", "edgecolor": "none", "pad": pad} | look
 

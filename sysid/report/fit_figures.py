@@ -26,6 +26,7 @@ from sysid.report.drawing import (
     RUNS,
     USES,
     WIDTH,
+    Style,
     as_math,
     axis_label,
     panel,
@@ -159,7 +160,7 @@ def figure_waterfall(fit: FitResult) -> Figure:
     figure, axes = panel(3.2)
     agreement = fit.agreement
     best = float(agreement.cost.min())
-    drawn: dict[str, tuple[dict[str, Any], list[tuple[int, float]]]] = {}
+    drawn: dict[str, tuple[Style, list[tuple[int, float]]]] = {}
     for rank, run in enumerate(agreement.order, start=1):
         optimum = int(agreement.optimum[run])
         look = {"marker": _MARKERS[optimum % len(_MARKERS)], "color": RUNS[optimum % len(RUNS)]}

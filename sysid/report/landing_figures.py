@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,7 +19,7 @@ from sysid.landing.maps import LandingMap, cell_edges
 from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.landing.real_landings import Experiment, of_map
 from sysid.landing.store import MapFile
-from sysid.report.drawing import BEST, OTHERS, WIDTH, paper
+from sysid.report.drawing import BEST, OTHERS, WIDTH, Style, paper
 from sysid.types import BoolArray, FloatArray
 
 # Okabe and Ito, as everywhere; B is white as in the paper.
@@ -35,11 +34,11 @@ COLOURS: dict[Outcome, str] = {
 _DISTANCES = (0.1, 0.2, 0.45, 1.0)
 _TIMES = (0.5, 1.0, 2.0)
 _DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", BEST
-# Line styles that no contour has.
-_LIMIT_STYLES = {"rigid": "dashdot", "bending": "dotted"}
+# Line styles of static limits by the legs; no contour has them.
+_LIMIT_STYLES: dict[str, Style] = {"rigid": {"linestyle": "dashdot"}, "bending": {"linestyle": "dotted"}}
 _TIME_STYLE = (0, (4, 2))
-# Slopes above the map.
-_BEYOND: dict[str, Any] = {"facecolor": "#F2F2F2", "hatch": "////", "edgecolor": "#BBBBBB", "linewidth": 0.0}
+# Look of the slopes above a map.
+_BEYOND: Style = {"facecolor": "#F2F2F2", "hatch": "////", "edgecolor": "#BBBBBB", "linewidth": 0.0}
 # Room above the steepest slope of a map, for static limits that lie a little higher [deg].
 _ROOM = 6.0
 # Least distance of a contour's label from other labels, and from the edges, in widths of the axes.
@@ -55,7 +54,7 @@ _MARKERS = (
     ("other", "D", COLOURS[Outcome.OTHER], "neither"),
     ("failed", "X", BEST, "failed"),
 )
-# White within black: seen on every colour of a map.
+# White outline within a black one, to be seen on every colour of a map.
 _OUTLINE = (withStroke(linewidth=2.8, foreground="black"), Normal())
 
 
@@ -77,32 +76,20 @@ class DrawnLimits:
 
 
 Limits = Mapping[tuple[str, str], DrawnLimits]
+# What was drawn, by its words in the order of drawing; the legend lists that and nothing else.
+MapLegend = dict[str, Patch | Line2D]
 
 
-@dataclass
-class MapLegend:
-    """What was drawn, by its words in the order of drawing; the legend lists that and nothing else."""
-
-    handles: dict[str, Patch | Line2D] = field(default_factory=dict)
-
-    def line(self, label: str, **look: object) -> None:
-        self.handles.setdefault(label, Line2D([], [], label=label, **look))  # type: ignore[arg-type]
-
-    def patch(self, label: str, **look: object) -> None:
-        look = {"edgecolor": "black", "linewidth": 0.5} | look
-        self.handles.setdefault(label, Patch(label=label, **look))  # type: ignore[arg-type]
-
-    def entries(self) -> list[tuple[str, str, str]]:
-        """Return (colour, kind, words) of each, areas first, as `sysid.report.html.legend` takes them."""
-        out = []
-        for words, handle in self.handles.items():
-            if isinstance(handle, Patch):
-                out.append((to_hex(handle.get_facecolor()), "area", words))
-                continue
-            style = handle.get_linestyle()
-            kind = {"-": "line", ":": "dotted", "None": "dots"}.get(str(style), "dashed")
-            out.append((to_hex(handle.get_color()), kind, words))
-        return sorted(out, key=lambda entry: entry[1] != "area")
+def legend_entries(legend: MapLegend) -> list[tuple[str, str, str]]:
+    """Return (colour, kind, words) of each entry, areas first, as `sysid.report.html.legend` takes them."""
+    out = []
+    for words, handle in legend.items():
+        if isinstance(handle, Patch):
+            out.append((to_hex(handle.get_facecolor()), "area", words))
+            continue
+        kind = {"-": "line", ":": "dotted", "None": "dots"}.get(str(handle.get_linestyle()), "dashed")
+        out.append((to_hex(handle.get_color()), kind, words))
+    return sorted(out, key=lambda entry: entry[1] != "area")
 
 
 def class_words(short: float, long: float) -> dict[Outcome, str]:
@@ -184,12 +171,12 @@ def figure_landing_maps(
     near = [slope + 1.0 for limit in drawn for slope in limit.slopes.values() if slope <= highest + _ROOM]
     highest = max([highest, *near])
     alone = legend is None
-    legend = legend or MapLegend()
+    legend = {} if legend is None else legend
     outcomes = {int(code) for chart in maps for code in np.unique(chart.outcome)} & set(OUTCOMES)
     outcomes |= {Outcome.LOST for chart in maps if np.any(chart.likeliest == Outcome.LOST)}
     for outcome, words in class_words(short, long).items():
         if outcome in outcomes:
-            legend.patch(words, facecolor=COLOURS[outcome])
+            legend[words] = Patch(facecolor=COLOURS[outcome], edgecolor="black", linewidth=0.5)
     for chart in maps:
         axes = grid[surfaces.index(chart.surface), columns.index(chart.controller)]
         axes.set_visible(True)
@@ -197,7 +184,7 @@ def figure_landing_maps(
         axes.set_ylim(lowest, highest)
         if highest > edge + 1e-9:
             axes.axhspan(edge, highest, **_BEYOND)
-            legend.patch("not simulated", **_BEYOND)
+            legend["not simulated"] = Patch(**_BEYOND)
         _draw_uncertain(axes, chart, legend)
         limit = limits.get((chart.surface, chart.controller))
         taken = _draw_letters(axes, chart, list(limit.slopes.values()) if limit else [])
@@ -222,13 +209,13 @@ def figure_landing_maps(
         figure.set_size_inches(WIDTH * len(columns), 3.4 * len(surfaces))
         return figure
     ncols = min(len(columns), 3)
-    rows = -(-len(legend.handles) // ncols)
+    rows = -(-len(legend) // ncols)
     figure.set_size_inches(1.2 + 4.1 * len(columns), 0.8 + 3.5 * len(surfaces) + 0.18 * rows)
     counts = sorted({len(chart.sets) for chart in maps})
     many = " to ".join(dict.fromkeys(map(str, (counts[0], counts[-1]))))
     blended = f"{many} sets per map; blended colours are shares of the sets"
     figure.legend(
-        handles=list(legend.handles.values()), loc="outside lower center", ncols=ncols, frameon=False,
+        list(legend.values()), list(legend), loc="outside lower center", ncols=ncols, frameon=False,
         title="one set per map" if counts == [1] else blended, fontsize=8, title_fontsize=8,
     )  # fmt: skip
     return figure
@@ -265,9 +252,11 @@ def _draw_uncertain(axes: Axes, chart: LandingMap, legend: MapLegend) -> None:
     rows, columns = np.nonzero(chart.uncertain.any(axis=0))
     if len(rows):
         label = "class of a set changes with half the tolerance"
-        look: dict[str, Any] = {"color": "black", "edgecolors": "white", "linewidths": 0.4}
-        axes.scatter(chart.speeds[columns], chart.slopes_deg[rows], s=5, zorder=3, label=label, **look)
-        legend.line(label, color="black", marker=".", linestyle="none")
+        axes.scatter(
+            chart.speeds[columns], chart.slopes_deg[rows], s=5, zorder=3, label=label, color="black",
+            edgecolors="white", linewidths=0.4,
+        )  # fmt: skip
+        legend[label] = Line2D([], [], color="black", marker=".", linestyle="none")
 
 
 def _draw_letters(axes: Axes, chart: LandingMap, lines: Sequence[float]) -> list[FloatArray]:
@@ -311,7 +300,8 @@ def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legen
             colors=colour, linestyles=[style], linewidths=1.1,
         )  # fmt: skip
         drawn.set_label(name)
-        legend.line(name, color=colour, linestyle=style)
+        look: Style = {"color": colour, "linestyle": style}
+        legend[name] = Line2D([], [], **look)
         # Loops around single cells are noise: a piece must span enough to be read.
         levels_pieces = [
             [p for p in pieces if len(p) > 1 and np.max(np.ptp(_relative(axes, p), axis=0)) >= _INSIDE]
@@ -334,12 +324,12 @@ def _draw_bound(axes: Axes, chart: LandingMap, legend: MapLegend) -> None:
     """Draw the edge of where half of the sets land, around cells: neighbours may differ by chance."""
     landed = np.nan_to_num(chart.landed) >= 0.5
     across, up = cell_edges(chart.speeds), cell_edges(chart.slopes_deg)
-    look: dict[str, Any] = {"color": "black", "linestyle": (0, (5, 2)), "linewidth": 2.0}
+    look: Style = {"color": "black", "linestyle": (0, (5, 2)), "linewidth": 2.0}
     for row, column in np.argwhere(landed[1:] != landed[:-1]).tolist():
         axes.plot(across[column : column + 2], [up[row + 1]] * 2, **look)
     for row, column in np.argwhere(landed[:, 1:] != landed[:, :-1]).tolist():
         axes.plot([across[column + 1]] * 2, up[row : row + 2], **look)
-    legend.line("half of the sets land with the impulse alone up to here", **look)
+    legend["half of the sets land with the impulse alone up to here"] = Line2D([], [], **look)
 
 
 def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatArray]) -> FloatArray | None:
@@ -365,7 +355,7 @@ def _draw_limits(axes: Axes, limit: DrawnLimits) -> str:
     outside: dict[str, list[str]] = {}
     for legs, slope in limit.slopes.items():
         if low <= slope <= high:
-            axes.axhline(slope, color=_LIMIT_COLOUR, linestyle=_LIMIT_STYLES[legs], linewidth=1.6)
+            axes.axhline(slope, color=_LIMIT_COLOUR, linewidth=1.6, **_LIMIT_STYLES[legs])
         else:
             outside.setdefault("above" if slope > high else "below", []).append(f"{slope:.0f}° ({legs} legs)")
     words = "; ".join(f"{where}: {', '.join(names)}" for where, names in outside.items())
@@ -389,7 +379,7 @@ def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, 
     for legs in _LIMIT_STYLES:
         if legs in drawn:
             label = f"static limit of the first set, {legs} legs ({thrust})"
-            legend.line(label, color=_LIMIT_COLOUR, linestyle=_LIMIT_STYLES[legs])
+            legend[label] = Line2D([], [], color=_LIMIT_COLOUR, **_LIMIT_STYLES[legs])
 
 
 def _middle(cells: BoolArray, rows: BoolArray) -> tuple[int, int] | None:
@@ -411,10 +401,10 @@ def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: MapLegen
         if not points:
             continue
         label = f"real landing: {name}"
-        look: dict[str, Any] = {"marker": marker, "color": colour, "path_effects": list(_OUTLINE)}
+        look: Style = {"marker": marker, "color": colour, "path_effects": list(_OUTLINE)}
         speed, slope = np.array(points).T
         axes.scatter(speed, slope, s=46, zorder=6, label=label, edgecolors="white", linewidths=1.2, **look)
-        legend.line(label, linestyle="none", markeredgecolor="white", **look)
+        legend[label] = Line2D([], [], linestyle="none", markeredgecolor="white", **look)
 
 
 def figure_impulse(best: Sequence[ImpulseMap], *, stacked: bool = False) -> Figure:

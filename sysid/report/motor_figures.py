@@ -62,8 +62,13 @@ def figure_reversals(logs: Sequence[ReversalCurves]) -> Figure:
                     time, values = log.thrust
                     inside = (time >= reversal.time - _BEFORE) & (time < reversal.time + reversal.hold)
                     width, alpha = (2.0, 1.0) if reversal is middle else (0.6, 0.5)
-                    look: dict[str, Any] = {"color": colour, "linewidth": width, "alpha": alpha}
-                    (line,) = axes.plot(time[inside] - reversal.time, values[inside], **look)
+                    (line,) = axes.plot(
+                        time[inside] - reversal.time,
+                        values[inside],
+                        color=colour,
+                        linewidth=width,
+                        alpha=alpha,
+                    )
                     if reversal is middle:
                         lines.setdefault(log.name, line)
                 if ranked:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from sysid.landing.design_study import DesignStudy
-from sysid.landing.maps import LandingMap
 from sysid.landing.outcomes import LANDED, Rules
 from sysid.landing.store import MAPS, STUDY, MapFile, read_maps, read_study
 from sysid.marks import Flag, field_hints, mark_of
@@ -30,21 +29,22 @@ from sysid.report.html import (
     picture,
     side_by_side,
 )
-from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file
+from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file, legend_entries
 from sysid.report.landing_tables import gains_table, maps_table
-from sysid.types import FloatArray
+from sysid.types import IntArray
 from sysid.workflows.reopen import shown_from_here
 
 _SLOPE, _SPEED = ("slope", "deg"), ("touchdown speed", "m/s")
 # Parts of a command that each cell replaces, as `CellChart.command` numbers them.
 _ACROSS, _UP, _FIRST = 0, 1, 2
+Command = tuple[str | int, ...]
 
 
 def map_page(path: Path) -> str:
     """Return the page of a file of maps; raises `ExportError` for anything else."""
     content = read_maps(path)
     rules, simulate = Rules(**content.settings["rules"]), _Simulate.of(content.provenance, path)
-    charts = _impulse_charts(content, simulate) if content.impulses else _map_charts(content, simulate)
+    charts = _map_charts(content, rules, simulate)
     notes = list(simulate.notes)
     if content.impulses:
         notes.append("The impulse in the command is the best one of set 1.")
@@ -62,7 +62,8 @@ def map_page(path: Path) -> str:
 
 def _pictures(content: MapFile) -> Html:
     """Return a narrow picture of every map of a file and of its best impulses, under one legend."""
-    pieces, key = [], MapLegend()
+    pieces = []
+    key: MapLegend = {}
     for chart in content.maps:
         safe = np.nansum([chart.share(outcome) for outcome in LANDED], axis=0).max(axis=1) >= 0.5
         steepest = f"{chart.slopes_deg[safe][-1]:g}°" if safe.any() else "none"
@@ -74,7 +75,7 @@ def _pictures(content: MapFile) -> Html:
     for best in content.impulses:
         words = f"delay and duration of the best impulse over touchdown speed and slope, {best.surface}"
         pieces.append(picture(figure_impulse([best], stacked=True), words))
-    return in_true_colours(legend(key.entries()) + side_by_side(pieces))
+    return in_true_colours(legend(legend_entries(key)) + side_by_side(pieces))
 
 
 def study_page(path: Path) -> str:
@@ -121,7 +122,7 @@ class _Simulate:
     common: tuple[str, ...]
     folder: Path
     notes: tuple[str, ...]
-    sources: Mapping[str, Any]
+    sources: Mapping[str, object]
 
     @classmethod
     def of(cls, provenance: Mapping[str, Any], path: Path) -> _Simulate:
@@ -145,16 +146,17 @@ class _Simulate:
         return cls(gears, tuple(common), folder, notes, sources | {"sysid": provenance["sysid"]})
 
     def __call__(
-        self, surface: str, slope: str | int, speed: str | int, rules: Mapping[str, Any], *more: str | int
-    ) -> tuple[str | int, ...]:
+        self, surface: str, slope: str | int, speed: str | int, rules: Rules, *more: str | int
+    ) -> Command:
         """Return the command of a landing; a number is what each cell replaces, and `more` is as written."""
         head = shlex.join(["sysid", "simulate", str(self.gears[surface]), *self.common])
         parts = [f"{head} --slope ", slope, " --speed ", speed, *more]
         usual = Rules()
         for name, hint in field_hints(Rules).items():
             flag = mark_of(hint)
-            if isinstance(flag, Flag) and rules[name] != getattr(usual, name):
-                parts.append(f" {shlex.join([*flag.spelled(name), flag.bare(rules[name])])}")
+            value = getattr(rules, name)
+            if isinstance(flag, Flag) and value != getattr(usual, name):
+                parts.append(f" {shlex.join([*flag.spelled(name), flag.bare(value)])}")
         return tuple(parts)
 
     def controller(self, stated: Mapping[str, Any], file: str | None) -> str:
@@ -165,57 +167,40 @@ class _Simulate:
         return f" {shlex.join(words)}"
 
 
-def _map_charts(content: MapFile, simulate: _Simulate) -> list[CellChart]:
-    settings = content.settings
-    start = []
-    if settings["pitch"]:
-        start += ["--pitch", f"{np.degrees(settings['pitch']):.12g}"]
-    if settings["horizontal_speed"]:
-        start += ["--horizontal-speed", f"{settings['horizontal_speed']:.12g}"]
-    count, charts = len(settings["controllers"]), []
+def _map_charts(content: MapFile, rules: Rules, simulate: _Simulate) -> list[CellChart]:
+    """Return the maps of a file; best impulses have three of each surface, as computed and refined."""
+    settings, charts = content.settings, []
     for number, chart in enumerate(content.maps):
-        stated = settings["controllers"][number % count]
-        more = simulate.controller(stated, settings.get("controller_file"))
-        more += f" {shlex.join(start)}" if start else ""
-        command = simulate(chart.surface, _UP, _ACROSS, settings["rules"], more)
-        charts.append(_map_chart(chart, command))
-    return charts
-
-
-def _map_chart(
-    chart: LandingMap, command: tuple[str | int, ...], texts: Sequence[FloatArray] = ()
-) -> CellChart:
-    return CellChart(
-        chart.title,
-        CellAxis(*_SPEED, tuple(chart.speeds.tolist())),
-        CellAxis(*_SLOPE, tuple(chart.slopes_deg.tolist())),
-        tuple(f"set {number}" for number, _ in enumerate(chart.sets, start=1)),
-        chart.outcome, chart.distance, chart.time, command,
-        texts=tuple(np.array([[f"{v:.12g}" for v in row] for row in each.tolist()]) for each in texts),
-        doubt=np.asarray(chart.uncertain.any(axis=0)) if chart.checked else None,
-    )  # fmt: skip
-
-
-def _impulse_charts(content: MapFile, simulate: _Simulate) -> list[CellChart]:
-    """Return the landings after the best impulse of each cell, three of each surface."""
-    impulses, rules = content.settings["impulses"], content.settings["rules"]
-    levels = "".join(f",{name}={impulses[name]:.12g}" for name in ("front", "rear", "idle"))
-    kinds = (("", impulses["after"]), ("refined_", impulses["after"]), ("", 0.0))
-    charts = []
-    for number, chart in enumerate(content.maps):
-        source, after = kinds[number % len(kinds)]
-        best = content.impulses[number // len(kinds)].optimum
-        more = (
-            " --controller impulse:delay=",
-            _FIRST,
-            ",duration=",
-            _FIRST + 1,
-            f",after={after:.12g}{levels}",
-        )
-        command = simulate(chart.surface, _UP, _ACROSS, rules, *more)
-        charts.append(
-            _map_chart(chart, command, [best[f"{source}{name}"][0] for name in ("delay", "duration")])
-        )
+        texts = []
+        if content.impulses:
+            impulses, kind = settings["impulses"], number % 3
+            best = content.impulses[number // 3].optimum
+            names = [f"{'refined_' if kind == 1 else ''}{name}" for name in ("delay", "duration")]
+            texts = [
+                np.array([[f"{v:.12g}" for v in row] for row in best[name][0].tolist()]) for name in names
+            ]
+            after = 0.0 if kind == 2 else impulses["after"]
+            levels = "".join(f",{name}={impulses[name]:.12g}" for name in ("front", "rear", "idle"))
+            delay, duration = " --controller impulse:delay=", ",duration="
+            more: Command = (delay, _FIRST, duration, _FIRST + 1, f",after={after:.12g}{levels}")
+        else:
+            stated = settings["controllers"][number % len(settings["controllers"])]
+            words = simulate.controller(stated, settings.get("controller_file"))
+            if settings["pitch"]:
+                words += f" --pitch {np.degrees(settings['pitch']):.12g}"
+            if settings["horizontal_speed"]:
+                words += f" --horizontal-speed {settings['horizontal_speed']:.12g}"
+            more = (words,)
+        charts.append(CellChart(
+            chart.title,
+            CellAxis(*_SPEED, tuple(chart.speeds.tolist())),
+            CellAxis(*_SLOPE, tuple(chart.slopes_deg.tolist())),
+            tuple(f"set {number}" for number, _ in enumerate(chart.sets, start=1)),
+            chart.outcome, chart.distance, chart.time,
+            simulate(chart.surface, _UP, _ACROSS, rules, *more),
+            texts=tuple(texts),
+            doubt=np.asarray(chart.uncertain.any(axis=0)) if chart.checked else None,
+        ))  # fmt: skip
     return charts
 
 
@@ -225,17 +210,13 @@ def _study_charts(study: DesignStudy, simulate: _Simulate, provenance: Mapping[s
     slopes = CellAxis(*_SLOPE, settings.slopes_deg)
     more = simulate.controller(provenance["controller"], provenance.get("controller_file"))
     first = study.changes[0]
-    groups: list[tuple[str, int, Any, tuple[str | int, ...]]] = []
+    groups: list[tuple[str, int, IntArray, Command]] = []
     if settings.together:
         second = study.changes[1]
         for value in second.axis:
             chosen = np.flatnonzero(study.points[:, 1] == value)
             chosen = chosen[np.argsort(study.points[chosen, 0])]
-            changed: tuple[str | int, ...] = (
-                f" --change {first.name}=",
-                _ACROSS,
-                f",{second.name}={value:.12g}",
-            )
+            changed: Command = (f" --change {first.name}=", _ACROSS, f",{second.name}={value:.12g}")
             groups.append((f"{second.label} {value:.3g}", 0, chosen, changed))
     else:
         for c, change in enumerate(study.changes):
@@ -246,12 +227,10 @@ def _study_charts(study: DesignStudy, simulate: _Simulate, provenance: Mapping[s
             change = study.changes[c]
             name, unit = (change.symbol, "s more") if change.kind == "reversal" else (change.label, "")
             axis = CellAxis(name, unit, tuple(study.points[chosen, c].tolist()), even=True)
-            cells = [
-                np.moveaxis(a[chosen][:, :, m], 0, 1) for a in (study.outcome, study.distance, study.time)
-            ]
-            command = simulate(surface, _UP, f"{speed:.12g}", vars(settings.rules), *changed, more)
+            command = simulate(surface, _UP, f"{speed:.12g}", settings.rules, *changed, more)
             charts.append(CellChart(
-                f"{words}, {speed:g} m/s", axis, slopes, ("likeliest; means",), cells[0][None],
-                cells[1][None], cells[2][None], command, share=study.landed[chosen][:, :, m].T,
+                f"{words}, {speed:g} m/s", axis, slopes, ("likeliest; means",),
+                study.outcome[chosen, :, m].T[None], study.distance[chosen, :, m].T[None],
+                study.time[chosen, :, m].T[None], command, share=study.landed[chosen, :, m].T,
             ))  # fmt: skip
     return charts

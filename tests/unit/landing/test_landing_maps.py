@@ -17,7 +17,7 @@ from sysid.landing.real_landings import Experiment, confusion, of_map, read_expe
 from sysid.landing.settings import SLOPES_DEG, SPEEDS, ImpulseSettings, MapSettings
 from sysid.landing.store import MapFile, read_maps, write_maps
 from sysid.report.drawing import save_figure
-from sysid.report.landing_figures import DrawnLimits, MapLegend, figure_impulse, figure_landing_maps
+from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps, legend_entries
 from sysid.report.landing_tables import maps_table
 from sysid.resume import BlockStore, Computing
 
@@ -326,10 +326,10 @@ def test_the_legend_lists_what_is_drawn_and_nothing_else():
         "static limit of the first set, rigid legs (off: 0 N)"
     ]
     # A page's one legend takes the entries, and the figure bears none.
-    legend = MapLegend()
+    legend = {}
     assert figure_landing_maps([some_map("off")], limits=limits, legend=legend).legends == []
-    assert sorted(entry[2] for entry in legend.entries()) == sorted(words)
-    assert ("#d55e00", "dashed", words[-1]) in legend.entries()
+    assert sorted(entry[2] for entry in legend_entries(legend)) == sorted(words)
+    assert ("#d55e00", "dashed", words[-1]) in legend_entries(legend)
     far = replace(one, outcome=np.minimum(one.outcome, 1))
     figure = figure_landing_maps([far])
     assert [text.get_text() for text in figure.legends[0].get_texts()] == [
