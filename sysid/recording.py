@@ -152,18 +152,14 @@ class Recording(Shown):
         """
         import pandas as pd
 
-        tables: dict[bytes, dict[str, FloatArray]] = {}
-        index = {}
+        frames = []
         for channel in self.channels.values():
             width = 1 if channel.values.ndim == 1 else channel.values.shape[1]
             parts = [""] if width == 1 else [f" {c}" for c in COMPONENTS.get(width, range(1, width + 1))]
-            clock = channel.time.tobytes()
-            index[clock] = pd.Index(channel.time, name="time [s]")
-            for part, values in zip(parts, channel.values.reshape(-1, width).T, strict=True):
-                tables.setdefault(clock, {})[f"{channel.name}{part} [{channel.unit or '1'}]"] = values
-        frames = [pd.DataFrame(columns, index=index[clock]) for clock, columns in tables.items()]
-        joined = pd.concat(frames, axis=1).sort_index() if frames else pd.DataFrame()
-        return joined[[name for columns in tables.values() for name in columns]]
+            names = [f"{channel.name}{part} [{channel.unit or '1'}]" for part in parts]
+            clock = pd.Index(channel.time, name="time [s]")
+            frames.append(pd.DataFrame(channel.values.reshape(-1, width), clock, names))
+        return pd.concat(frames, axis=1).sort_index() if frames else pd.DataFrame()
 
     def remarks(self) -> tuple[Finding, ...]:
         """Return what the loader noticed and did."""

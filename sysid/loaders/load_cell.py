@@ -67,11 +67,6 @@ CELL_AXES = (QUANTITIES["thrust"].stems - {"thrust"}) | {"mz", "moment z"}
 BESIDE = QUANTITIES["speed"].stems | QUANTITIES["voltage"].stems | QUANTITIES["current"].stems | TACHOMETER
 
 
-def quantity_channel(name: str, time: FloatArray, values: FloatArray) -> Channel:
-    """Return the channel of a quantity already in SI."""
-    return Channel(name, shown_unit(QUANTITIES[name].unit), time, values)
-
-
 def check_tachometer(path: str, channels: Collection[str], pulses_per_revolution: object) -> None:
     """Refuse pulses per revolution that are no number, belong to nothing, or rival a speed channel."""
     if pulses_per_revolution is None:

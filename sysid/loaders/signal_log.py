@@ -33,7 +33,6 @@ from sysid.loaders.load_cell import (
     QUANTITIES,
     STEMS,
     check_tachometer,
-    quantity_channel,
     shown_unit,
     speed_channel,
 )
@@ -296,8 +295,9 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
                 channels |= speed_channel(path, column.label, time, values, per_revolution, notes)
             else:
                 default = "rpm" if column.stem == "rpm" else None
-                scale = declared.factor(column, channel, QUANTITIES[channel].unit, default)
-                channels[channel] = quantity_channel(channel, time, values * scale)
+                unit = QUANTITIES[channel].unit
+                scale = declared.factor(column, channel, unit, default)
+                channels[channel] = Channel(channel, shown_unit(unit), time, values * scale)
     notes += unknown_units_note(unknown)
     notes += listing_note("passed-over", "passed over, as no rows of numbers", raw.passed_over)
     declared.check_used(tuple(columns.values()))

@@ -4,7 +4,6 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from fakes.log_files import LBF, LBF_IN, notes, refuses
 from sysid.errors import UnitError
@@ -48,18 +47,6 @@ def test_stand_time_back_is_refused_or_dropped_on_demand():
     np.testing.assert_array_equal(log["thrust"].time, [3.19, 3.20, 3.214, 3.22])
 
 
-def test_load_cell_csv():
-    log = load(HERE / "load_cell.csv")
-    assert log.kind == "load-cell"
-    assert set(log.channels) == {
-        "command", "speed", "thrust", "torque", "force_x", "force_y", "torque_x", "torque_y",
-    }  # fmt: skip
-    np.testing.assert_array_equal(log["thrust"].values, [0.1, 0.2, np.nan, 0.4])
-    np.testing.assert_array_equal(log["torque"].values, [0.003, 0.004, 0.005, 0.006])
-    assert log["thrust"].rate == pytest.approx(1e4)
-    assert log.provenance.notes == ()
-
-
 def test_load_cell_without_clock_needs_a_rate_and_command_unit():
     path = HERE / "load_cell_lbf.csv"
     refuses(path, r"no time column among .*columns = .*, or declare the sample rate")
@@ -70,11 +57,6 @@ def test_load_cell_without_clock_needs_a_rate_and_command_unit():
     np.testing.assert_allclose(log["thrust"].values, [LBF, 2 * LBF], rtol=1e-13)
     np.testing.assert_allclose(log["torque"].values, [LBF_IN, 2 * LBF_IN], rtol=1e-13)
     np.testing.assert_allclose(log["speed"].values, [0, 2 * np.pi], rtol=1e-15)
-
-
-def test_text_in_a_number_names_line_and_column():
-    fault = r"load_cell_text.csv, line 3: 'over' in column 'Fz \(N\)' is not a number"
-    refuses(HERE / "load_cell_text.csv", fault)
 
 
 def test_motive_121_millimetres_gap_flip_and_cut_last_line():

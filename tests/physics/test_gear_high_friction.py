@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.gear_drops import SIX, level_start, nrmse, touchdowns
-from fakes.gear_energy import legs
+from fakes.gear_drops import SIX, legs, level_start, nrmse, touchdowns
 from sysid.export.published import table_2
 from sysid.filters import runs
 from sysid.gear import model

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from fakes.gear_drops import legs
 from fakes.gear_drops import level_start as start
-from fakes.gear_energy import legs
 from sysid.gear.model import PARAMETERS, Drops, Status, pack, simulate, simulate_population
 
 NOMINAL = PARAMETERS.nominal

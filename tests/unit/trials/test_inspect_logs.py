@@ -309,16 +309,20 @@ def _table(path, header, *columns):
     path.write_text("\n".join([header, *rows, ""]), encoding="utf-8")
 
 
-def test_convert_joins_a_second_file(tmp_path):
+@pytest.fixture
+def two_logs(tmp_path):
+    """A log of a step of the speed, the places of a second log and of a result, and every fifth row."""
     time = np.arange(0, 5, 2e-3)
-    speed = np.where(time > 1, 300.0, 0) + np.where(time > 2.5, 200.0, 0) * (
-        1 - np.exp(-np.maximum(time - 2.5, 0))
-    )
+    speed = 300.0 * (1 - np.exp(-np.maximum(time - 2.5, 0) / 0.1)) * (time > 1)
     first, second, to = tmp_path / "a.csv", tmp_path / "b.csv", tmp_path / "out.h5"
     _table(first, "Time (s),Speed (rad/s),Fz (N)", time, speed, 0.01 * speed)
-    volts = np.full(time[::5].size, 16.1)
-    header = "Time (s),Speed (rad/s),Voltage (V),Current (A)"
-    _table(second, header, time[::5] + 7, speed[::5], volts, volts / 50)
+    return first, second, to, time[::5], speed[::5]
+
+
+def test_convert_joins_a_second_file(two_logs):
+    first, second, to, time, speed = two_logs
+    volts = np.full(time.size, 16.1)
+    _table(second, "Time (s),Speed (rad/s),Voltage (V),Current (A)", time + 7, speed, volts, volts / 50)
     sentence = convert_file(first, to, second=SecondFile(second))
     # Half of the second file's sample period of 10 ms.
     assert float(sentence.split("offset ")[1].split(" s")[0]) == pytest.approx(-7, abs=5e-3)
@@ -327,12 +331,9 @@ def test_convert_joins_a_second_file(tmp_path):
     assert any("confidence" in note for note in log.provenance.sentences)
 
 
-def test_a_second_log_of_the_command_line_has_its_own_options(run, tmp_path):
-    time = np.arange(0, 5, 2e-3)
-    speed = 300.0 * (1 - np.exp(-np.maximum(time - 2.5, 0) / 0.1)) * (time > 1)
-    first, second, to = tmp_path / "a.csv", tmp_path / "b.csv", tmp_path / "out.h5"
-    _table(first, "Time (s),Speed (rad/s),Fz (N)", time, speed, 0.01 * speed)
-    _table(second, "n,U", speed[::5] * 30 / np.pi, np.full(speed[::5].size, 16.1))
+def test_a_second_log_of_the_command_line_has_its_own_options(run, two_logs):
+    first, second, to, _, speed = two_logs
+    _table(second, "n,U", speed * 30 / np.pi, np.full(speed.size, 16.1))
     words = ["--add", second, "--add-format", "load-cell-csv", "--add-option", "rate=100"]
     words += ["--add-option", 'columns={speed = "n", voltage = "U"}']
     words += ["--add-option", 'units={speed = "rpm", voltage = "V"}']
