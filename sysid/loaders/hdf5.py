@@ -10,6 +10,7 @@ from __future__ import annotations
 import mmap
 import posixpath
 import struct
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,22 +18,29 @@ from typing import Any
 
 import numpy as np
 
-from sysid.errors import LogError
-from sysid.loaders.binary import bounded_memory, check_claim, length_note, most_bytes, reading
-from sysid.loaders.source import Source, shortened
+from sysid.errors import LogError, SysidError
+from sysid.loaders.source import Source, length_note, shortened
 from sysid.types import FloatArray
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # What begins a global heap, and the bytes before each of its texts.
 _HEAP, _HEAD = b"GCOL\x01\0\0\0", 16
-# Compression gains less than this on a signal, constant ones included: what claims more is damaged.
+# Largest ratio of samples to stored bytes of one signal: compression of a constant gains less.
 _LARGEST_GAIN = 1000
+# Ratio of all samples to the file's size at most, and bytes that the samples of any file may take.
+_GAIN, _SMALL = 20, 1 << 28
+# Held while the limit of memory is set: the process has one.
+_LIMIT = threading.Lock()
 
 
 def is_hdf5(source: Source) -> bool:
     """Return whether a file begins as HDF5 does."""
     # A user block (MATLAB writes one) moves the signature to 512 bytes or a power of two beyond.
     return any(source.head.startswith(_SIGNATURE, start) for start in (0, *(512 << k for k in range(7))))
+
+
+def _most_bytes(path: str) -> int:
+    return max(_GAIN * Path(path).stat().st_size, _SMALL)
 
 
 def attribute_value(value: Any) -> Any:
@@ -47,7 +55,7 @@ class Hdf5Log:
     def __init__(self, path: str, file: Any) -> None:
         self.path, self.file = path, file
         self._bytes = Path(path).stat().st_size
-        self._left = most_bytes(self._bytes)
+        self._left = float(_most_bytes(path))
         self.notes = length_note(self._stated_length(), self._bytes)
         self.datasets = self._found()
 
@@ -93,12 +101,40 @@ class Hdf5Log:
                 "the data"
             )
         stored = dataset.id.get_storage_size()
-        check_claim(self.path, f"dataset {name}", stored, self._bytes)
         claimed = float(np.prod(dataset.shape, dtype=float)) * dataset.dtype.itemsize
-        check_claim(self.path, f"dataset {name}", claimed, min(_LARGEST_GAIN * stored, self._left))
+        for claim, there in ((stored, self._bytes), (claimed, min(_LARGEST_GAIN * stored, self._left))):
+            if claim > there:
+                raise LogError(
+                    f"{self.path}: dataset {name} claims {claim:.4g} bytes where the file has at most "
+                    f"{there:.4g} for it; it is damaged; copy or export it again"
+                )
         share = 1 if column is None else dataset.shape[1]
         self._left -= claimed / share
         return np.asarray(dataset[()] if column is None else dataset[:, column], dtype=np.float64)
+
+
+@contextmanager
+def _bounded_memory(most: int) -> Iterator[None]:
+    """Let this process take at most this much more memory [bytes]; only Linux keeps such a limit.
+
+    The library takes as much memory as the length of a text in an attribute states before it looks for the
+    text. There is one limit at a time: a second one in another thread leaves the first.
+    """
+    pages = Path("/proc/self/statm")
+    if not pages.exists() or not _LIMIT.acquire(blocking=False):
+        yield
+        return
+    import resource  # not on Windows
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    now = int(pages.read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    lowest = [now + most, *(limit for limit in before if limit != resource.RLIM_INFINITY)]
+    try:
+        resource.setrlimit(resource.RLIMIT_AS, (min(lowest), before[1]))
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+        _LIMIT.release()
 
 
 @contextmanager
@@ -108,12 +144,17 @@ def open_hdf5(source: Source, remedy: str) -> Iterator[Hdf5Log]:
 
     if not is_hdf5(source):
         raise LogError(f"{source.path}: not an HDF5 file (its signature is missing); check the format")
-    # Beside the numbers there are copies of them.
-    most = 3 * most_bytes(Path(source.path).stat().st_size)
-    with reading(source.path, "HDF5 file", remedy), bounded_memory(most):
+    try:
         _check_heaps(source.path)
-        with h5py.File(source.path, "r") as file:
+        # Copies of the numbers exist beside them while they are read.
+        most = 3 * _most_bytes(source.path)
+        with _bounded_memory(most), h5py.File(source.path, "r") as file:
             yield Hdf5Log(source.path, file)
+    except SysidError:
+        raise
+    except Exception as error:  # the library lets anything through from a damaged file
+        words = shortened(" ".join(str(error).split()), 200) or type(error).__name__
+        raise LogError(f"{source.path}: HDF5 file is damaged or cut ({words}); {remedy}") from error
 
 
 def _check_heaps(path: str) -> None:

@@ -10,9 +10,13 @@ where ``FORMAT`` is a `LogFormat`.
 
 from __future__ import annotations
 
+import ctypes
 import difflib
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -23,7 +27,6 @@ import numpy as np
 
 from sysid.errors import LogError, SysidError
 from sysid.journal import notice
-from sysid.loaders.binary import bounded_time
 from sysid.loaders.columns import naming
 from sysid.loaders.isolation import isolated
 from sysid.loaders.options import DECLARED, Option
@@ -173,6 +176,50 @@ def detect(path: str | Path) -> str:
     return _detect(Source(path)).name
 
 
+# Processor time of a load in this process [s], and further time for each byte of the file [s/byte]: a whole
+# file takes a thirtieth.
+_TIME, _TIME_PER_BYTE = 60.0, 2e-6
+
+
+class _OverdueError(BaseException):
+    """Raised inside a load that takes too long; a parser's ``except Exception`` does not catch it."""
+
+
+@contextmanager
+def _bounded_time(path: str) -> Iterator[None]:
+    """Refuse a file whose load computes far longer than its size explains, in any thread and on any system.
+
+    The processor time of the process counts, so that a busy machine or a laptop that sleeps refuses no file.
+    A library in C is stopped when it returns to Python; `sysid.loaders.hdf5` refuses before what could keep
+    the HDF5 library for ever.
+    """
+    size = Path(path).stat().st_size
+    most = _TIME + _TIME_PER_BYTE * size
+    thread, ended, lock = ctypes.c_ulong(threading.get_ident()), threading.Event(), threading.Lock()
+    raise_there, last = ctypes.pythonapi.PyThreadState_SetAsyncExc, time.process_time() + most
+
+    def watch() -> None:
+        while not ended.wait(max(last - time.process_time(), 0.0)):
+            with lock:
+                if not ended.is_set() and time.process_time() >= last:
+                    raise_there(thread, ctypes.py_object(_OverdueError))
+                    return
+
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        try:
+            yield
+        finally:
+            with lock:
+                ended.set()
+            raise_there(thread, None)  # where it has not arrived yet
+    except _OverdueError:
+        raise LogError(
+            f"{path}: not read after {most:.3g} s of processor time, far longer than {size / 1e6:.3g} MB "
+            "explain; the file is damaged, so copy or export it again"
+        ) from None
+
+
 def load(path: str | Path, *, format: str = "auto", **options: object) -> Recording:
     """Read one log: channels in SI, each on its own clock [s], with provenance.
 
@@ -221,7 +268,7 @@ def load(path: str | Path, *, format: str = "auto", **options: object) -> Record
         if chosen.foreign:
             return isolated(chosen.read.__module__, source, given)
         # The warnings are of damaged numbers.
-        with np.errstate(over="ignore", invalid="ignore"), bounded_time(source.path):
+        with np.errstate(over="ignore", invalid="ignore"), _bounded_time(source.path):
             return chosen.read(source, **given)
     except SysidError as error:
         raise type(error)(one_line(str(error))) from error

@@ -114,6 +114,12 @@ class Source:
         return Provenance(self.path, self.sha256, format, device, given, findings)
 
 
+def length_note(stated: int, there: int) -> list[Finding]:
+    """Return a note where a file has another length than it states, so that what follows the place moved."""
+    sentence = f"the file has {there} bytes and its headers tell of {stated}: bytes were lost or added"
+    return [] if stated == there else [note("other-length", f"{sentence}, so check the numbers")]
+
+
 def _state(file: int | Path) -> tuple[int, int, int]:
     """Return what changes when a file is written or replaced."""
     state = os.stat(file)

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.binary import length_note, reading
 from sysid.loaders.capture_log import (
     Body,
     RawCapture,
@@ -34,7 +33,7 @@ from sysid.loaders.clock import known_rate
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signal_log import unique_names
-from sysid.loaders.source import Source
+from sysid.loaders.source import Source, length_note
 from sysid.loaders.table import promised_note
 from sysid.types import FloatArray
 
@@ -293,12 +292,11 @@ def _add_analogs(file: _C3d, raw: RawCapture) -> None:
 
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path = source.path
-    with reading(path, "C3D file", "export it again"), np.errstate(over="ignore", invalid="ignore"):
-        file = _open(source)
-        raw = RawCapture(" ".join(["C3D", *file.texts("MANUFACTURER", "COMPANY")]), [], chosen=False)
-        _add_rotations(file, options.length_unit, raw)
-        _add_markers(file, options.length_unit, raw)
-        _add_analogs(file, raw)
+    file = _open(source)
+    raw = RawCapture(" ".join(["C3D", *file.texts("MANUFACTURER", "COMPANY")]), [], chosen=False)
+    _add_rotations(file, options.length_unit, raw)
+    _add_markers(file, options.length_unit, raw)
+    _add_analogs(file, raw)
     if raw.bodies and options.rigid_body is not None and options.bodies is None:
         kept = wanted_bodies(path, [body.name for body in raw.bodies], options.rigid_body)
         raw.bodies = [body for body in raw.bodies if body.name in kept]

@@ -7,12 +7,7 @@ time of arrival; lengths are metres and quaternions x, y, z, w by the definition
 
 from __future__ import annotations
 
-import mmap
-import re
-import sqlite3
-import struct
 from collections.abc import Iterator, Sequence
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,13 +16,13 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding
-from sysid.loaders.binary import BoundedPath, bounded_memory, check_claim, library, most_bytes, reading
 from sysid.loaders.capture_log import Body, RawCapture, capture_format, declared_length, wanted_bodies
 from sysid.loaders.clock import EXPORT_FINER, jitter_note, order_rows
 from sysid.loaders.columns import listing, listing_note
+from sysid.loaders.isolation import library
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source, shortened
+from sysid.loaders.source import Source
 from sysid.loaders.table import Numbers, promised_note
 
 _BAG, _MCAP, _SQLITE = b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0"
@@ -43,7 +38,7 @@ def _recognize(source: Source) -> int:
 
 def _open(source: Source) -> tuple[Any, bool]:
     """Return the library's reader for this kind of file, and whether messages are in the ROS 1 form."""
-    path, file = source.path, BoundedPath(source.path)
+    path, file = source.path, Path(source.path)
     if source.head.startswith(_BAG):
         return library(path, "rosbags.rosbag1", "rosbags").Reader(file), True
     if source.head.startswith(_MCAP):
@@ -51,49 +46,6 @@ def _open(source: Source) -> tuple[Any, bool]:
     if source.head.startswith(_SQLITE):
         return library(path, "rosbags.rosbag2.storage_sqlite3", "rosbags").Sqlite3Reader(file), False
     raise LogError(f"{path}: neither a ROS bag nor MCAP (its first bytes do not say so); check the format")
-
-
-# Of a chunk in a ROS 1 bag: its kind, and the size to which it unpacks.
-_CHUNK, _SIZE = b"\x04\0\0\0op=\x05", re.compile(rb"\x09\0\0\0size=(.{4})", re.DOTALL)
-
-
-def _unpacked(source: Source, data: mmap.mmap) -> int:
-    """Return how many bytes the chunks of a bag or of an MCAP file say that they unpack to."""
-    total, at = 0, len(_MCAP) if source.head.startswith(_MCAP) else source.head.find(b"\n") + 1
-    while source.head.startswith(_MCAP) and at + 33 <= len(data):
-        kind, size = struct.unpack_from("<BQ", data, at)
-        total += struct.unpack_from("<Q", data, at + 25)[0] if kind == 6 else 0
-        at += 9 + size
-    while source.head.startswith(_BAG) and at + 8 <= len(data):
-        end = at + 4 + struct.unpack_from("<I", data, at)[0]
-        fields = data[at + 4 : end]
-        size = _SIZE.search(fields) if _CHUNK in fields else None
-        total += 0 if size is None else struct.unpack("<I", size[1])[0]
-        at = end + 4 + (struct.unpack_from("<I", data, end)[0] if end + 4 <= len(data) else 0)
-    return total
-
-
-# Names of what SQLite computes while it is read: views, triggers, virtual tables, generated columns.
-_COMPUTED = (
-    "SELECT entry.name FROM sqlite_master entry LEFT JOIN pragma_table_xinfo(entry.name) field "
-    "WHERE entry.type NOT IN ('table', 'index') OR entry.sql LIKE 'CREATE VIRTUAL%' OR field.hidden > 0"
-)
-
-
-def _check_before(source: Source) -> None:
-    """Refuse a file that says it unpacks to far more than it is, or that SQLite would have to compute."""
-    path = source.path
-    if source.head.startswith(_SQLITE):
-        address = f"{Path(path).absolute().as_uri()}?mode=ro&immutable=1"
-        with closing(sqlite3.connect(address, uri=True)) as base:
-            if computed := base.execute(_COMPUTED).fetchone():
-                raise LogError(
-                    f"{path}: {shortened(str(computed[0]))} is computed by SQLite, where a recording has "
-                    "plain tables; record it again"
-                )
-        return
-    with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        check_claim(path, "all that its chunks unpack to", _unpacked(source, data), most_bytes(len(data)))
 
 
 def _typestore(path: str, connections: Sequence[Any]) -> Any:
@@ -164,11 +116,7 @@ def _read_tracks(source: Source, topic: str | None, clock: str) -> tuple[dict[st
 def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     path, clock = source.path, options.clock or "header"
     scale = declared_length(path, options.length_unit)
-    # What unpacks to more than it says is noticed by the library only when it is unpacked.
-    most = 3 * most_bytes(Path(path).stat().st_size)
-    with reading(path, "bag", "recover or record it again"), bounded_memory(most):
-        _check_before(source)
-        tracks, notes = _read_tracks(source, options.topic, clock)
+    tracks, notes = _read_tracks(source, options.topic, clock)
     if not tracks:
         raise LogError(f"{path}: its topics of poses have no message; record it again")
     raw = RawCapture("ROS", notes)

@@ -26,12 +26,12 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.binary import BoundedPath, length_note, library, reading
 from sysid.loaders.columns import factor_or_none, listing_note
+from sysid.loaders.isolation import library
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, Signal, signal_format, written_unit
-from sysid.loaders.source import Source
+from sysid.loaders.source import Source, length_note
 from sysid.types import FloatArray
 
 _THINNED = re.compile(r"Decimated Data_Level\d+$")
@@ -202,13 +202,7 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     if not source.head.startswith(b"TDSm"):
         raise LogError(f"{path}: not a TDMS file (it does not begin with TDSm); check the format")
     notes: list[Finding] = []
-    damaged = reading(path, "TDMS file", "copy or export it again")
-    with (
-        damaged,
-        _heard(nptdms, notes),
-        BoundedPath(path).open() as stream,
-        nptdms.TdmsFile.open(stream) as file,
-    ):
+    with _heard(nptdms, notes), nptdms.TdmsFile.open(path) as file:
         device = f"NI TDMS {file.properties.get('name', '')}".strip()
         yield RawSignals(_signals(path, file, notes, options.rate), device, measured=False, notes=notes)
 
