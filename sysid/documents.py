@@ -8,7 +8,7 @@ that only the writer understands (the settings of a model) is an `Open` field, s
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -23,13 +23,13 @@ from pydantic import (
     model_validator,
 )
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
-from pydantic_core import core_schema
+from pydantic_core import ErrorDetails, core_schema
 
 from sysid import exact_json
 from sysid.errors import SysidError
 
 
-def _opened(value: Any, info: ValidationInfo) -> Any:
+def _opened(value: object, info: ValidationInfo) -> object:
     return exact_json.decoded(value) if info.mode == "json" else exact_json.plain(value)
 
 
@@ -104,13 +104,13 @@ class Part(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_arrays(cls, values: Any) -> Any:
+    def _take_arrays(cls, values: object) -> object:
         if not isinstance(values, dict):
             return values
         return {k: v.tolist() if isinstance(v, np.ndarray | np.generic) else v for k, v in values.items()}
 
     @classmethod
-    def json_schema(cls) -> dict[str, Any]:
+    def json_schema(cls) -> JsonSchemaValue:
         """Return the JSON Schema; its comment states the units of `UNITS`."""
         listed = ", ".join(f"{key} [{unit}]" for key, unit in UNITS.items())
         units = f"Units of keys in open fields: {listed}; keys that end in _deg: degrees."
@@ -157,13 +157,13 @@ class Document(Part):
         return cls._checked(head, place, error_type, lambda: cls.model_validate_json(text))
 
     @classmethod
-    def of(cls, content: Any, place: object, error_type: type[SysidError] = SysidError) -> Self:
+    def of(cls, content: object, place: object, error_type: type[SysidError] = SysidError) -> Self:
         """Return the document of a content that is no JSON text; other arguments as for `parse`."""
         return cls._checked(content, place, error_type, lambda: cls.model_validate(content))
 
     @classmethod
     def _checked(
-        cls, content: Any, place: object, error_type: type[SysidError], validated: Callable[[], Self]
+        cls, content: object, place: object, error_type: type[SysidError], validated: Callable[[], Self]
     ) -> Self:
         name, number = (cls.model_fields[field].default for field in ("schema_", "version"))
         head = content if isinstance(content, dict) else {}
@@ -183,7 +183,7 @@ class Document(Part):
             raise error_type(refusal) from error
 
 
-# What pydantic finds, by the beginning of its type of mistake, in the words of this house.
+# Sentences of refusals by the beginning of the type of mistake that pydantic states.
 _MISTAKES = {
     "int_": "expected a whole number", "float_": "expected a number",
     "finite_number": "expected a finite number",
@@ -200,7 +200,7 @@ _MISTAKES = {
 }  # fmt: skip
 
 
-def mistake(detail: Mapping[str, Any]) -> str:
+def mistake(detail: ErrorDetails) -> str:
     """Return what one of the errors of a `ValidationError` says, in words."""
     kind, context = detail["type"], detail.get("ctx", {})
     if kind in ("value_error", "assertion_error"):

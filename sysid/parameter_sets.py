@@ -246,14 +246,14 @@ NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
 INTERVALS = "intervals"
 # How far noise explains what a fit leaves, see `sysid.fit.adequacy`.
 ADEQUACY = "adequacy"
-# Of the best NRMSE: a set above it says nothing about spread where a fit was cut short.
+# Largest NRMSE over the best one [1] of a set that counts for the spread of a fit that was cut short.
 NEAR_BEST = 1.1
 _ENDS = {"interval_95", "open_95", "verdict"}
 _JUDGED = {"verdict", "sentence", "nrmse", "floor", "ratio", "limits", "channels"}
 _BY_CHANNEL = {"name", "ratio", "by_trial", "autocorrelation"}
 
 
-def _readable(stated: dict[str, Any]) -> dict[str, Any]:
+def _readable(stated: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return settings or provenance without intervals and an adequacy that lack what their readers take.
 
     Older versions wrote such ones; all else of their fits can be read.
@@ -263,11 +263,11 @@ def _readable(stated: dict[str, Any]) -> dict[str, Any]:
         whole = judged.keys() >= _JUDGED and all(row.keys() >= _BY_CHANNEL for row in judged["channels"])
         stated = stated if whole else {key: stated[key] for key in stated if key != ADEQUACY}
     if rows is not None:
-        stated = stated | {INTERVALS: {name: row for name, row in rows.items() if row.keys() >= _ENDS}}
+        stated = {**stated, INTERVALS: {name: row for name, row in rows.items() if row.keys() >= _ENDS}}
     return stated
 
 
-def interval_columns(row: Judged | None) -> dict[str, Any]:
+def interval_columns(row: Judged | None) -> dict[str, float | str]:
     """Return ends and verdict by column; an open end is infinite, unknown is NaN."""
     if row is None:
         return {"interval_low": math.nan, "interval_high": math.nan, "verdict": ""}
@@ -389,6 +389,14 @@ class SetsContent:
         stated = [r.stated_sigma for r in self.parameters]
         return np.array([np.nan if value is None else value for value in stated], dtype=np.float64)
 
+    def over_channels(self, nrmse: FloatArray) -> FloatArray:
+        """Return the weighted mean (...) of NRMSE (..., C) over the channels [1]; NaN without any weight."""
+        weights = np.asarray(self.channel_weights, dtype=np.float64)
+        used = weights > 0
+        if not used.any():
+            return np.full(nrmse.shape[:-1], np.nan)
+        return np.asarray(nrmse[..., used] @ (weights[used] / weights[used].sum()))
+
     @property
     def known(self) -> dict[str, Known]:
         """What is known of every parameter, by name, in column order."""
@@ -446,7 +454,7 @@ class RankedSet(dict[str, float]):
             )
         return values
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # Copies are made from `sets`, then take what was changed.
         return type(self), (self.sets, self.rank), None, None, iter(self.items())
 

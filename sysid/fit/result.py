@@ -176,10 +176,7 @@ class FitResult(SetsContent):
         chosen = [t for t, trial in enumerate(self.trials) if trial.use == use]
         if not chosen:
             return np.full(len(self.nrmse), np.nan)
-        weights = np.asarray(self.channel_weights)
-        used = weights > 0
-        by_trial = self.nrmse_by_trial[:, chosen][:, :, used] @ (weights[used] / weights[used].sum())
-        return by_trial.mean(axis=1)
+        return self.over_channels(self.nrmse_by_trial[:, chosen]).mean(axis=1)
 
     def parameter_sets(self) -> ParameterSets:
         """Return the ranked sets in the form in which they are exported."""

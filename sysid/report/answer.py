@@ -15,16 +15,18 @@ from sysid.fit.result import FitResult
 from sysid.parameter_sets import Judged, Known
 from sysid.parameters import common_name
 from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
-from sysid.report.table import NONE, Cell, Table, Tone, numbers, table, words
+from sysid.report.table import NONE, Cell, Table, numbers, table, words
 from sysid.report.trust_tables import ends_of, judged_cell, partners_of
 from sysid.trust.documents import Judgement, TrustDocument
 from sysid.types import FloatArray
 
-_WORDS: dict[str, tuple[str, Tone]] = {
-    EXPLAINED_BY: ("explained", "good"),
-    ROUGHLY_BY: ("roughly", "doubtful"),
-    NOT_BY: ("not explained", "bad"),
+# The verdict on a fit in one word.
+IN_A_WORD = {
+    EXPLAINED_BY: Cell("explained", "good"),
+    ROUGHLY_BY: Cell("roughly", "doubtful"),
+    NOT_BY: Cell("not explained", "bad"),
 }
+NOT_JUDGED = Cell("not judged", "doubtful")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +55,6 @@ class Reopened:
     evidence: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
 
-def header(
-    title: str, fit: FitResult, tiles: Sequence[tuple[str, str]], following: str, sketch: Html
-) -> Html:
-    """Return the box above all of a fit, see `answer_box`."""
-    judged = _WORDS.get(fit.provenance.get("adequacy", {}).get("verdict"), ("not judged", "doubtful"))
-    return answer_box(title, Cell(*judged), fit.name, tiles, following, sketch)
-
-
 def answer_box(
     title: str, word: Cell, name: str, tiles: Sequence[tuple[str, str]], following: str, sketch: Html
 ) -> Html:
@@ -71,18 +65,15 @@ def answer_box(
         for figure, what in tiles
     )
     picture = f'<div class="sketch">{sketch.text}</div>' if sketch.text else ""
+    # Text between backticks is code.
+    parts = html.escape(following).split("`")
+    marked = "".join(f"<code>{part}</code>" if k % 2 else part for k, part in enumerate(parts))
     return Html(
         f'<header class="answer"><h1>{html.escape(title)}</h1>{picture}'
         f'<p><span class="word {word.tone}">{html.escape(word.text)}</span>{html.escape(name)}</p>'
         f'<ul class="tiles">{items}</ul>'
-        f'<p class="next"><b>Next:</b> {_with_commands(following)}</p></header>'
+        f'<p class="next"><b>Next:</b> {marked}</p></header>'
     )
-
-
-def _with_commands(text: str) -> str:
-    """Return a text with what stands between backticks as code."""
-    parts = html.escape(text).split("`")
-    return "".join(f"<code>{part}</code>" if k % 2 else part for k, part in enumerate(parts))
 
 
 def over_noise(fit: FitResult) -> tuple[str, str]:
@@ -157,26 +148,15 @@ def parameter_table(fit: FitResult, trust: TrustDocument | None, truth: Mapping[
     rows = [row for row in fit.known.values() if row.record.status == "free"]
     symbols = {record.name: record.symbol for record in fit.parameters if record.symbol}
 
-    def judged(row: Known) -> Judged | None:
-        return assessed.get(row.record.name) or row.judged
-
-    def interval(row: Known) -> str:
-        found = judged(row)
-        return found.interval if found else NONE
-
-    def verdict(row: Known) -> str | Cell:
-        found = judged(row)
-        return judged_cell(found) if found else NONE
-
     def partners(row: Known) -> str:
         found = assessed.get(row.record.name)
         return partners_of(found.partners, symbols) if found else NONE
 
     def true(row: Known) -> str | Cell:
-        value, found = truth.get(row.record.name), judged(row)
+        value = truth.get(row.record.name)
         if value is None:
             return NONE
-        inside = found is None or found.contains(value)
+        inside = row.judged is None or row.judged.contains(value)
         return rounded(value) if inside else Cell(f"{rounded(value)} outside", "doubtful")
 
     ranges = any(row.record.measured_range for row in rows)
@@ -187,9 +167,9 @@ def parameter_table(fit: FitResult, trust: TrustDocument | None, truth: Mapping[
             words("symbol", lambda row: row.record.symbol or row.record.name),
             words("name", lambda row: common_name(row.record).replace("_", " ")),
             numbers("value", Known.text),
-            numbers("95 % interval", interval),
+            numbers("95 % interval", lambda row: row.judged.interval if row.judged else NONE),
             words("unit", lambda row: row.record.unit or "1"),
-            words("verdict", verdict),
+            words("verdict", lambda row: judged_cell(row.judged) if row.judged else NONE),
             words("partners", partners),
             numbers("measured", lambda row: ends_of(row.record.measured_range)) if ranges else None,
             numbers("truth", true) if truth else None,

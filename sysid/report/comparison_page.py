@@ -30,7 +30,7 @@ from sysid.report.html import (
 )
 from sysid.report.plots import SERIES, Curve, Panel, View, interactive, printed
 from sysid.report.table import NONE, Cell, Table, name_and_unit, numbers, table, words
-from sysid.report.trust_tables import TONES, comparison_table, cross_table
+from sysid.report.trust_tables import comparison_table, cross_table, judged_cell
 from sysid.trust.comparison import Comparison
 from sysid.trust.documents import TrustDocument
 from sysid.types import BoolArray, FloatArray
@@ -78,7 +78,14 @@ def comparison_page(document: Comparison, fits: Sequence[ComparedFit]) -> str:
     out += unfoldable("Every difference and what the intervals allow", every, printed=False)
     crossed = heading("Who predicts whom") + markup_table(cross_table(document))
     out += columns(crossed, heading("Intervals") + drawn if drawn.text else drawn)
-    out += heading("Traces") + _traces(fits)
+    out += heading("Traces")
+    views = [[_view(fit, trial) for trial in fit.trials] for fit in fits]
+    if every := list(chain.from_iterable(views)):
+        # Paper has one trial of each fit.
+        static = printed([each[0] for each in views if each])
+        out += interactive(every, "traces of all fits", static, noun="trial")
+    else:
+        out += paragraph("No trials are in these fits.", "note")
     return page(f"sysid: {' and '.join(names)}", out)
 
 
@@ -110,22 +117,22 @@ def _answer(document: Comparison, names: Sequence[str]) -> Html:
 
 def _parameter_table(document: Comparison, fits: Sequence[ComparedFit]) -> Table:
     """Return value, interval and verdict of every fit side by side, and what the intervals do not explain."""
-    judged = [fit.trust.by_name if fit.trust else {} for fit in fits]
+    assessed = [fit.trust.by_name if fit.trust else {} for fit in fits]
     known = [fit.sets.known for fit in fits]
     free = [{name: row for name, row in rows.items() if row.record.status == "free"} for rows in known]
     records = {name: row.record for rows in free for name, row in rows.items() if not row.record.trial}
 
     def value(k: int, name: str) -> str:
-        row, found = judged[k].get(name), known[k].get(name)
+        row, found = assessed[k].get(name), known[k].get(name)
         if found is None or found.instead:
             return NONE
         return rounded(row.refined if row else found.values[0])
 
     def span(k: int, name: str) -> Cell:
-        row = judged[k].get(name)
-        if row is None:
-            return Cell(NONE if name in free[k] else "not free")
-        return Cell(f"{row.interval}, {row.words}", TONES.get(row.verdict, "bad"))
+        if name not in free[k]:
+            return Cell("not free")
+        row = free[k][name].judged
+        return Cell(f"{row.interval}, {row.words}", judged_cell(row).tone) if row else Cell(NONE)
 
     def differs(name: str) -> Cell:
         rows = [row for row in document.differences if row.parameter == name]
@@ -180,16 +187,6 @@ def _intervals_figure(document: Comparison, fits: Sequence[ComparedFit]) -> Figu
     figure.legend(fontsize=8, frameon=False, loc="outside upper center", ncols=min(len(fits), 3))
     axes.grid(True, axis="x", color="0.92")
     return figure
-
-
-def _traces(fits: Sequence[ComparedFit]) -> Html:
-    views = [[_view(fit, trial) for trial in fit.trials] for fit in fits]
-    every = list(chain.from_iterable(views))
-    if not every:
-        return paragraph("No trials are in these fits.", "note")
-    # Paper has one trial of each fit.
-    static = printed([each[0] for each in views if each])
-    return interactive(every, "traces of all fits", static, noun="trial")
 
 
 def _view(fit: ComparedFit, trial: OverlaidTrial) -> View:

@@ -54,18 +54,11 @@ _LIMITS = ((0.988946, "68 %"), (3.841459, "95 %"))
 Bars = Mapping[str, Sequence[tuple[float, float]]]
 
 
-def trial_means(fit: FitResult, trial: TrialResult) -> FloatArray:
-    """Return the NRMSE (S,) of every set on a trial, the weighted mean over the channels [1]."""
-    weights = np.asarray(fit.channel_weights)
-    used = weights > 0
-    return np.asarray(trial.nrmse[:, used] @ (weights[used] / weights[used].sum()))
-
-
 def figure_measured_against_simulated(fit: FitResult) -> Figure:
     """Draw all trials of a fit: a column per trial, each channel with its residual below."""
     views = []
     for trial in fit.trials:
-        mean = percent_text(float(trial_means(fit, trial)[0]))
+        mean = percent_text(float(fit.over_channels(trial.nrmse)[0]))
         views.append(trial_view(fit, trial, (trial.name, f"{trial.name} ({USES[trial.use]}): NRMSE {mean}")))
     return figure_of(views, f"{fit.name}: measured against simulated ({fit.kind}); NRMSE of the best set")
 

@@ -25,10 +25,12 @@ from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import record_lines, run_record
 from sysid.parameters import in_words
 from sysid.report.answer import (
+    IN_A_WORD,
+    NOT_JUDGED,
     Reopened,
+    answer_box,
     counts,
     grouped_warnings,
-    header,
     next_step,
     over_noise,
     parameter_table,
@@ -45,7 +47,6 @@ from sysid.report.fit_figures import (
     figure_spread,
     figure_waterfall,
     filter_gain,
-    trial_means,
     trial_view,
 )
 from sysid.report.html import (
@@ -116,9 +117,10 @@ class FitReport:
     # Sentence on further content of the figures of measured and simulated signals.
     about_signals: ClassVar[str] = ""
     # Methods in the order of the page; two of them side by side in a wide window.
-    sections: ClassVar[tuple[str | tuple[str, str], ...]] = (
-        "parameters", "measured_against_simulated", ("trial_errors", "convergence"),
-        ("spread", "correlation"), "profiles", "ladder", "filter_response", ("validation", "provenance"),
+    sections: ClassVar[tuple[tuple[str, ...], ...]] = (
+        ("parameters",), ("measured_against_simulated",), ("trial_errors", "convergence"),
+        ("spread", "correlation"), ("profiles",), ("ladder",), ("filter_response",),
+        ("validation", "provenance"),
     )  # fmt: skip
 
     # Members that a kind may replace.
@@ -154,22 +156,18 @@ class FitReport:
         """Return the report as one page of HTML."""
         out = self.answer()
         for row in self.sections:
-            pieces = [self._section(name) for name in ((row,) if isinstance(row, str) else row)]
+            pieces = [self._section(name) for name in row]
             out += columns(*pieces) if len(pieces) == 2 else pieces[0]
         return page(f"sysid: {self.fit.name}", out)
 
     @classmethod
-    def section_titles(cls) -> list[str]:
-        """Return the headings in their order."""
-        return [getattr(cls, name).title for name in cls._names()]
+    def section_titles(cls) -> dict[str, str]:
+        """Return the headings in their order, each with the name of its method."""
+        return {getattr(cls, name).title: name for row in cls.sections for name in row}
 
     def section(self, title: str) -> Html:
         """Return a section by its title: heading, text and content."""
-        return self._section(self._names()[self.section_titles().index(title)])
-
-    @classmethod
-    def _names(cls) -> list[str]:
-        return [name for row in cls.sections for name in ((row,) if isinstance(row, str) else row)]
+        return self._section(self.section_titles()[title])
 
     def _section(self, name: str) -> Html:
         content = getattr(self, name)
@@ -217,20 +215,9 @@ class FitReport:
         ]
 
     @property
-    def trials(self) -> tuple[TrialResult, ...]:
-        """All trials: of the fit, then of the other campaign."""
-        return tuple(trial for fit in self.fits for trial in fit.trials)
-
-    @property
     def fits(self) -> tuple[FitResult, ...]:
         """The fit, and its sets on another campaign."""
         return (self.fit, self.against) if self.against is not None else (self.fit,)
-
-    def warnings(self) -> list[str]:
-        """Return the sentences to be read before the digits: of the fit, its intervals, other trials."""
-        trust = self.trust.warnings if self.trust else ()
-        against = self.against.warnings if self.against is not None else ()
-        return list(dict.fromkeys([*self.fit.warnings, *trust, *against]))
 
     # The sections' contents.
 
@@ -242,19 +229,18 @@ class FitReport:
         tiles = (
             over_noise(self.fit),
             predicted,
-            counts(
-                {**self.fit.judged, **self.trust.by_name}.values() if self.trust else None,
-                f"sysid trust {self.folder}",
-            ),
+            counts(self.fit.judged.values() if self.trust else None, f"sysid trust {self.folder}"),
         )
+        word = IN_A_WORD.get(self.fit.provenance.get("adequacy", {}).get("verdict"), NOT_JUDGED)
         following = next_step(self.fit, self.trust, predicted[0] != "not known", str(self.folder))
-        return header(self.title, self.fit, tiles, following, self.sketch()) + self.verdict()
+        return answer_box(self.title, word, self.fit.name, tiles, following, self.sketch()) + self.verdict()
 
     def verdict(self) -> Html:
         """Return the verdict in sentences, and the warnings by what was found."""
         out = unfoldable("The verdict in sentences", paragraph(" ".join(self.sentences())))
-        warnings = self.warnings()
-        if warnings:
+        trust = self.trust.warnings if self.trust else ()
+        against = self.against.warnings if self.against is not None else ()
+        if warnings := list(dict.fromkeys([*self.fit.warnings, *trust, *against])):
             findings = [each for fit in self.fits for each in fit.provenance.get("findings", ())]
             count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
             out += unfoldable(count, grouped_warnings(warnings, findings))
@@ -262,26 +248,30 @@ class FitReport:
 
     def sentences(self) -> list[str]:
         """Return the verdict: how well the sets fit and predict, and what the data determine."""
-        out = [*self._explained(), self._fitted(), *self._predicted(), *self._determined(), self._runs()]
-        if self.fit.state != "done":
-            out.append("It was stopped early: these are the sets that it had until then.")
-        return out
-
-    def _explained(self) -> list[str]:
-        sentence = self.fit.provenance.get("adequacy", {}).get("sentence", "")
-        return [f"{sentence[:1].upper()}{sentence[1:]}."] if sentence else []
-
-    def _fitted(self) -> str:
         fit, trials = self.fit, sum(trial.use == "fit" for trial in self.fit.trials)
         low, high = percent_text(float(fit.nrmse.min())), percent_text(float(fit.nrmse.max()))
-        judged = fit.provenance.get("adequacy")
+        judged, out = fit.provenance.get("adequacy"), []
         noise = f", where noise alone costs {percent_text(judged['floor'])}" if judged else ""
-        return (
+        if judged and (sentence := judged["sentence"]):
+            out.append(f"{sentence[:1].upper()}{sentence[1:]}.")
+        out.append(
             f"{fit.name}, {self.model}: the {_counted(len(fit.nrmse), 'set')} "
             f"fit{'s' if len(fit.nrmse) == 1 else ''} {_counted(trials, self.noun)} with an NRMSE of "
             f"{low if low == high else f'{low} to {high}'}{noise} "
             f"(rms error over {fit.provenance.get('nrmse_denominator', 'std')} of the measurement)."
         )
+        out += [*self._predicted(), *self._determined()]
+        agreement, total = fit.agreement, len(fit.runs)
+        # A run that was cut ends in no optimum, so none is the best one.
+        if agreement.unfinished:
+            out.append(f"{agreement.sentence()}.")
+        elif total == 1:
+            out.append("A single run cannot say whether its optimum is the best one.")
+        else:
+            out.append(f"{agreement.reached} of {total} independent runs ended in the best optimum.")
+        if fit.state != "done":
+            out.append("It was stopped early: these are the sets that it had until then.")
+        return out
 
     def _predicted(self) -> list[str]:
         out = []
@@ -321,15 +311,6 @@ class FitReport:
             out.append(f"Sets end at a bound in {', '.join(named[name] for name in flagged)}.")
         out.append("Intervals have not been computed: this judges by the spread of the search alone.")
         return out
-
-    def _runs(self) -> str:
-        agreement, total = self.fit.agreement, len(self.fit.runs)
-        # A run that was cut ends in no optimum, so none is the best one.
-        if agreement.unfinished:
-            return f"{agreement.sentence()}."
-        if total == 1:
-            return "A single run cannot say whether its optimum is the best one."
-        return f"{agreement.reached} of {total} independent runs ended in the best optimum."
 
     @cached_property
     def open_parameters(self) -> tuple[str, ...]:
@@ -376,22 +357,19 @@ class FitReport:
             return paragraph("No trials are in this fit.", "note")
         out = interactive(views, "measured and simulated", noun=self.noun, chosen=self._first())
         about = paragraph(self.about_signals, "note") if self.about_signals else NOTHING
-        return out + about + bullets(self.biases(), "warnings")
+        judged = self.fit.provenance.get("adequacy", {})
+        biases = [Bias.model_validate(each).sentence for each in judged.get("biases", ())]
+        return out + about + bullets(biases, "warnings")
 
     def view(self, fit: FitResult, trial: TrialResult) -> View:
         """Return a trial's channels with what the kind adds, to be touched or as a figure."""
-        mean = percent_text(float(trial_means(fit, trial)[0]))
+        mean = percent_text(float(fit.over_channels(trial.nrmse)[0]))
         name = f"{fit.name}, {trial.name}" if fit is self.against else trial.name
         title = f"{name} ({USES[trial.use]}{self.conditions(fit, trial)}): NRMSE {mean}"
         other = self.beside.fit if self.beside is not None and fit is self.fit else None
         known = self.known if fit is self.fit else Reopened()
         view = trial_view(fit, trial, (self.key(fit, trial), title), self.bars(fit, trial), known, other)
         return replace(view, panels=[*view.panels, *self.more_panels(fit, trial)])
-
-    def biases(self) -> list[str]:
-        """Return the systematic residuals of the fit in sentences."""
-        judged = self.fit.provenance.get("adequacy", {})
-        return [Bias.model_validate(each).sentence for each in judged.get("biases", ())]
 
     def _each(self) -> list[tuple[FitResult, TrialResult]]:
         return [(fit, trial) for fit in self.fits for trial in fit.trials]
@@ -542,9 +520,8 @@ class FitReport:
     def figures(self) -> dict[str, Figure]:
         """Return the figures for a paper by file name: vectors, in the larger layouts."""
         out = {"measured-against-simulated": figure_measured_against_simulated(self.fit)}
-        for fit in self.fits:
-            for trial in fit.trials:
-                out |= self.trial_figures(fit, trial)
+        for fit, trial in self._each():
+            out |= self.trial_figures(fit, trial)
         out["convergence"] = figure_convergence(self.fit, wide=True)
         out["waterfall"] = figure_waterfall(self.fit)
         out["spread"] = figure_spread(self.fit)
@@ -571,7 +548,7 @@ class FitReport:
         return paragraph(f"{what}: not computed; run {command} {self.folder}{arguments}", "note")
 
     def _spectra(self) -> dict[str, Figure]:
-        spectra = [trial.spectrum for trial in self.trials if trial.spectrum is not None]
+        spectra = [trial.spectrum for _, trial in self._each() if trial.spectrum is not None]
         if not spectra:
             return {}
         highest = max(float(spectrum.frequency[-1]) for spectrum in spectra)

@@ -44,7 +44,13 @@ def print_table(table: Table, console: Console | None = None) -> None:
     may wrap between two of them.
     """
     console = console or Console()
-    table = _shown(table)
+    table = replace(
+        table,
+        title=printable(table.title),
+        caption=printable(table.caption),
+        columns=tuple(replace(column, header=printable(column.header)) for column in table.columns),
+        rows=tuple(tuple(replace(cell, text=printable(cell.text)) for cell in row) for row in table.rows),
+    )
     texts = [[column.title, *(row[k].text for row in table.rows)] for k, column in enumerate(table.columns)]
     # Width of the longest line of every column, and the least width at which nothing of it is cut.
     widest = [max(cell_len(line) for text in column for line in text.split("\n")) for column in texts]
@@ -83,13 +89,6 @@ def print_table(table: Table, console: Console | None = None) -> None:
         else:  # one column is too wide by itself: the terminal may break the line, but it stays whole
             whole = console.width - spare
             Console(file=console.file, width=whole, force_terminal=console.is_terminal or None).print(part)
-
-
-def _shown(table: Table) -> Table:
-    columns = tuple(replace(column, header=printable(column.header)) for column in table.columns)
-    rows = tuple(tuple(replace(cell, text=printable(cell.text)) for cell in row) for row in table.rows)
-    title, caption = printable(table.title), printable(table.caption)
-    return replace(table, title=title, caption=caption, columns=columns, rows=rows)
 
 
 def _part(table: Table, widths: dict[int, int], *, first: bool, last: bool) -> RichTable:

@@ -36,9 +36,9 @@ class GearReport(FitReport):
         "rear and the front foot of the best set's simulation are on the ground."
     )
     sections = (
-        "parameters", ("measured_against_simulated", "animation"), ("trial_errors", "convergence"),
-        ("spread", "correlation"), "profiles", "ladder", ("validation", "diagram"), "filter_response",
-        ("modes", "provenance"),
+        ("parameters",), ("measured_against_simulated", "animation"), ("trial_errors", "convergence"),
+        ("spread", "correlation"), ("profiles",), ("ladder",), ("validation", "diagram"),
+        ("filter_response",), ("modes", "provenance"),
     )  # fmt: skip
 
     @property
@@ -178,10 +178,9 @@ class GearReport(FitReport):
     def replays(self) -> dict[tuple[bool, str], DropReplay]:
         """Replays of the drops that can be repeated, with the best set; a key tells both campaigns apart."""
         out = {}
-        for fit in self.fits:
-            for trial in fit.trials:
-                with suppress(ExportError):
-                    out[fit is self.against, trial.name] = replay_drop(fit, trial)
+        for fit, trial in self._each():
+            with suppress(ExportError):
+                out[fit is self.against, trial.name] = replay_drop(fit, trial)
         return out
 
     def drops(self) -> list[DropReplay]:

@@ -1,9 +1,6 @@
-"""A ladder as a table, a picture, and on a terminal."""
+"""A ladder as tables, a picture, and what to conclude of it."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,8 +8,7 @@ from matplotlib.figure import Figure
 from sysid.documents import rounded
 from sysid.fit.adequacy import EXPLAINED_BY
 from sysid.parameters import with_unit
-from sysid.report.drawing import panel, save_figure
-from sysid.report.fold import print_lines, print_result, print_table
+from sysid.report.drawing import panel
 from sysid.report.table import Cell, Table, number, numbers, percent, table, words
 from sysid.trust.documents import LadderDocument, LadderRung, TrustDocument
 
@@ -34,8 +30,9 @@ def _misfit(rung: LadderRung) -> float:
     return float(np.exp(np.mean(np.log(rung.misfit))))
 
 
-def _gain(rung: LadderRung) -> float:
-    return float(-np.expm1(-rung.gain))
+def _gain(rung: LadderRung) -> str:
+    """Return the share that a term takes off the misfit [%]."""
+    return percent(float(-np.expm1(-rung.gain)), 1)
 
 
 def _chance(rung: LadderRung) -> str:
@@ -89,7 +86,7 @@ def rungs_table(document: LadderDocument) -> Table:
             words("term", lambda row: row[0]),
             numbers("NRMSE, fitted", lambda row: number(row[1].over_noise, 3)),
             numbers("misfit, left out", lambda row: number(_misfit(row[1]), 3)),
-            numbers("gain", lambda row: percent(_gain(row[1]), 1), "%"),
+            numbers("gain", lambda row: _gain(row[1]), "%"),
             numbers("chance", lambda row: _chance(row[1])),
             words("keep", kept),
         ),
@@ -155,24 +152,7 @@ def conclusion(document: LadderDocument) -> list[str]:
     return [
         f"{_left_out(document, str(len(document.trials)))} cannot show which term is missing; the nearest "
         f"is {nearest.terms[-1]}, with a chance of {_chance(nearest)} and a gain of "
-        f"{percent(_gain(nearest), 1)} %",
+        f"{_gain(nearest)} %",
         *lacking,
         "fit more trials, unlike these, and climb again",
     ]
-
-
-def print_rungs(
-    document: LadderDocument,
-    trust: TrustDocument | None,
-    lines: Sequence[str],
-    json: bool,
-    picture: Path | None,
-) -> None:
-    """Print a ladder, what to conclude, and further lines; draw it where a picture is asked for."""
-    if not print_result(document.printed(), json):
-        print_table(moves_table(document, trust))
-        print_table(rungs_table(document))
-        print_lines([*conclusion(document), *lines])
-        print_lines([f"{document.evaluations} simulations in {document.seconds:.0f} s"])
-    if picture is not None:
-        save_figure(figure_rungs(document), picture)

@@ -42,12 +42,56 @@ _VARIABLES = (
 )
 
 
-def misprints(motor: ParameterSets, gear: ParameterSets) -> Html:
+def misprints(motor_sets: ParameterSets, gear_sets: ParameterSets) -> Html:
     """Return what the paper prints, what must be meant, and the number that decides, computed from sets."""
-    rows, heads = (
-        _misprints(motor.set_values(1), gear.set_values(1)),
-        ("printed", "meant", "the number that decides"),
-    )
+    motor, gear = motor_sets.set_values(1), gear_sets.set_values(1)
+    rating = 60.0 / (2 * math.pi * _RATING_RPM_PER_VOLT)
+    inertia = 1e3 * motor["rotor_inertia"] * motor["winding_resistance"]
+    full, back_emf = float(no_load_speed(1.0, motor)), motor["back_emf_constant"]
+    mu, gravity, regular = gear["kinetic_friction"], gear["gravity"], gear["slip_regularization"]
+    force = float(low_friction(gravity, 0.0, 1.0, 0.0, (mu, regular, 0.0, 0.0, 0.0, 0.0))[0])
+    rows = [
+        (
+            f"k_v = k_t = {_PRINTED_CONSTANT:g} (Table I)",
+            f"{rating:.5f} V·s/rad, from the rating of {_RATING_RPM_PER_VOLT:g} rpm/V",
+            f"time constant I^r R/k²: {inertia / _PRINTED_CONSTANT**2:.1f} ms as printed, "
+            f"{inertia / rating**2:.0f} ms as meant; the paper reports about 100 ms",
+        ),
+        (
+            "V_c = Ω_0(u)/K_v (4)",
+            "V_c = k_v Ω_0(u)",
+            f"at full command {1e-3 * full / back_emf:.0f} kV as printed, with the constant "
+            f"of (1), {full * back_emf:.1f} V as meant",
+        ),
+        (
+            "L in kg (Table I)",
+            "henry",
+            f"L/R = {1e3 * motor['winding_inductance'] / motor['winding_resistance']:.1f} ms, a time",
+        ),
+        (
+            "friction along the slip (8)",
+            "against it",
+            f"a body that slides level with 1 m/s changes its speed by {force:+.2f} m/s per second; as "
+            f"printed by {-force:+.2f}",
+        ),
+        (
+            "ε_v not printed (8)",
+            f"{regular:g} m/s, a parameter of the surface",
+            f"the law never sticks: at 15° it creeps with {1e3 * _creep(gear, 15.0):.0f} mm/s",
+        ),
+        (
+            "e_v not printed (9)",
+            "its limit 0: the end of the slip is located",
+            f"below 1 mm/s friction alone, μ_k g = {mu * gravity:.1f} m/s², stops a level slip within "
+            f"{1.0 / (mu * gravity):.1f} ms: no speed below which a foot may stick has to be chosen",
+        ),
+        (
+            "k_t twice: Tables I and II",
+            "torque constant and bending stiffness",
+            f"{gear['leg_bending_stiffness']:g} N·m/rad here",
+        ),
+    ]
+    heads = ("printed", "meant", "the number that decides")
     return markup_table(listed("where the print cannot be meant, and what is missing", rows, heads, texts=3))
 
 
@@ -122,52 +166,3 @@ def _creep(values: Mapping[str, float], slope_deg: float) -> float:
     """Return the speed at which the low-friction law (8) creeps down a slope that it holds [m/s]."""
     ratio = math.tan(math.radians(slope_deg)) / values["kinetic_friction"]
     return values["slip_regularization"] * ratio / (1 - ratio)
-
-
-def _misprints(motor: Mapping[str, float], gear: Mapping[str, float]) -> list[tuple[str, str, str]]:
-    rating = 60.0 / (2 * math.pi * _RATING_RPM_PER_VOLT)
-    inertia = 1e3 * motor["rotor_inertia"] * motor["winding_resistance"]
-    full, back_emf = float(no_load_speed(1.0, motor)), motor["back_emf_constant"]
-    mu, gravity, regular = gear["kinetic_friction"], gear["gravity"], gear["slip_regularization"]
-    force = float(low_friction(gravity, 0.0, 1.0, 0.0, (mu, regular, 0.0, 0.0, 0.0, 0.0))[0])
-    return [
-        (
-            f"k_v = k_t = {_PRINTED_CONSTANT:g} (Table I)",
-            f"{rating:.5f} V·s/rad, from the rating of {_RATING_RPM_PER_VOLT:g} rpm/V",
-            f"time constant I^r R/k²: {inertia / _PRINTED_CONSTANT**2:.1f} ms as printed, "
-            f"{inertia / rating**2:.0f} ms as meant; the paper reports about 100 ms",
-        ),
-        (
-            "V_c = Ω_0(u)/K_v (4)",
-            "V_c = k_v Ω_0(u)",
-            f"at full command {1e-3 * full / back_emf:.0f} kV as printed, with the constant "
-            f"of (1), {full * back_emf:.1f} V as meant",
-        ),
-        (
-            "L in kg (Table I)",
-            "henry",
-            f"L/R = {1e3 * motor['winding_inductance'] / motor['winding_resistance']:.1f} ms, a time",
-        ),
-        (
-            "friction along the slip (8)",
-            "against it",
-            f"a body that slides level with 1 m/s changes its speed by {force:+.2f} m/s per second; as "
-            f"printed by {-force:+.2f}",
-        ),
-        (
-            "ε_v not printed (8)",
-            f"{regular:g} m/s, a parameter of the surface",
-            f"the law never sticks: at 15° it creeps with {1e3 * _creep(gear, 15.0):.0f} mm/s",
-        ),
-        (
-            "e_v not printed (9)",
-            "its limit 0: the end of the slip is located",
-            f"below 1 mm/s friction alone, μ_k g = {mu * gravity:.1f} m/s², stops a level slip within "
-            f"{1.0 / (mu * gravity):.1f} ms: no speed below which a foot may stick has to be chosen",
-        ),
-        (
-            "k_t twice: Tables I and II",
-            "torque constant and bending stiffness",
-            f"{gear['leg_bending_stiffness']:g} N·m/rad here",
-        ),
-    ]

@@ -39,9 +39,9 @@ class MotorReport(FitReport):
         "whether both are right."
     )
     sections = (
-        "parameters", "measured_against_simulated", "static_curves", "reversals",
-        ("spikes", "trial_errors"), "ladder", ("convergence", "spread"), ("profiles", "correlation"),
-        ("validation", "filter_response"), "provenance",
+        ("parameters",), ("measured_against_simulated",), ("static_curves",), ("reversals",),
+        ("spikes", "trial_errors"), ("ladder",), ("convergence", "spread"), ("profiles", "correlation"),
+        ("validation", "filter_response"), ("provenance",),
     )  # fmt: skip
     model = "motor"
 

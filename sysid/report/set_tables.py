@@ -42,8 +42,8 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     if judged := sets.provenance.get("adequacy"):
         rows.append(_scores("noise alone", np.full(len(sets), judged["floor"])))
     held_out = [t for t, use in enumerate(sets.uses) if use == "validate"]
-    validated = _trial_means(sets)[:, held_out].mean(axis=1) if held_out else np.full(len(sets), np.nan)
-    if np.any(np.isfinite(validated)):
+    means = sets.over_channels(sets.nrmse_by_trial[:, held_out])
+    if held_out and np.any(np.isfinite(validated := means.mean(axis=1))):
         rows.append(_scores("NRMSE validated", validated))
     if any(sets.runs):
         rows.append([Cell("run"), *(Cell(str(run) if run else NONE) for run in sets.runs)])
@@ -157,7 +157,7 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
 
 def trial_table(sets: ParameterSets) -> Table:
     """Return the NRMSE [%] of the best set per trial and channel, and the mean of the worst set on each."""
-    scores = zip(sets.nrmse_by_trial[0], _trial_means(sets).T, strict=True)
+    scores = zip(sets.nrmse_by_trial[0], sets.over_channels(sets.nrmse_by_trial).T, strict=True)
     rows: list[tuple[str | Cell, ...]] = [
         (trial, use, *map(percent, best), Cell(percent(mean[0]), "strong"), percent(mean.max()))
         for trial, use, (best, mean) in zip(sets.trials, sets.uses, scores, strict=True)
@@ -220,12 +220,3 @@ def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
             words("inside", inside),
         ),
     )
-
-
-def _trial_means(sets: ParameterSets) -> FloatArray:
-    """Return (S, T): weighted mean over the channels [1]."""
-    weights = np.asarray(sets.channel_weights, dtype=np.float64)
-    used = weights > 0
-    if not used.any():
-        return np.full((len(sets), len(sets.trials)), np.nan)
-    return np.asarray(sets.nrmse_by_trial[:, :, used] @ (weights[used] / weights[used].sum()))

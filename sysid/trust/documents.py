@@ -252,7 +252,7 @@ class TrustDocument(TrustPart):
         return {row.name: row for row in self.parameters}
 
 
-class Judgement(TrustPart):
+class Overall(Part):
     """Predictions over all trials: flagged where they are off by more than a limit, and why."""
 
     flagged: bool
@@ -262,6 +262,10 @@ class Judgement(TrustPart):
     nrmse_fitted: float
     ratio: float
     ratio_third_contact: float
+
+
+class Judgement(Overall, TrustPart):
+    """What a validation and a cross-validation state."""
 
 
 class ValidationDocument(Judgement):

@@ -9,12 +9,11 @@ true model, more by what the parameters' own uncertainty adds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict
 
 import numpy as np
 
 from sysid.fit.trial import Trial
-from sysid.trust.documents import JudgedTrial, Leaves
+from sysid.trust.documents import JudgedTrial, Leaves, Overall
 from sysid.types import FloatArray
 
 # Limits of the NRMSE over its noise floor, mean over trials [1]: whole windows, up to the third touchdown.
@@ -109,27 +108,15 @@ def reasons(trials: Sequence[JudgedTrial]) -> tuple[str, ...]:
     return tuple(out)
 
 
-class Overall(TypedDict):
-    """The numbers of a validation over all its trials."""
-
-    flagged: bool
-    reasons: list[str]
-    limits: dict[str, float]
-    nrmse: float
-    nrmse_fitted: float
-    ratio: float
-    ratio_third_contact: float
-
-
 def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float) -> Overall:
     """Return what a validation or cross-validation states of all trials together, for its document."""
     why, (whole, early) = reasons(trials), _ratios(trials)
-    return {
-        "flagged": bool(why),
-        "reasons": list(why),
-        "limits": {"ratio": RATIO, "ratio_third_contact": RATIO_EARLY, "leaves": LEAVES},
-        "nrmse": float(np.mean([trial.nrmse[0] for trial in trials])),
-        "nrmse_fitted": nrmse_fitted,
-        "ratio": float(np.mean(whole)),
-        "ratio_third_contact": float(np.mean(early)),
-    }
+    return Overall(
+        flagged=bool(why),
+        reasons=list(why),
+        limits={"ratio": RATIO, "ratio_third_contact": RATIO_EARLY, "leaves": LEAVES},
+        nrmse=float(np.mean([trial.nrmse[0] for trial in trials])),
+        nrmse_fitted=nrmse_fitted,
+        ratio=float(np.mean(whole)),
+        ratio_third_contact=float(np.mean(early)),
+    )

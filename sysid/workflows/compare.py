@@ -10,7 +10,6 @@ import numpy as np
 
 from sysid.errors import ExportError, FitError
 from sysid.journal import Journal, Say
-from sysid.parameter_sets import ParameterSets
 from sysid.report.comparison_page import ComparedFit, OverlaidTrial, comparison_page
 from sysid.report.trust_tables import print_comparison
 from sysid.storage import check_file, write_file
@@ -30,7 +29,7 @@ def compare_and_print(
         check_file(page, force=force, error_type=ExportError)
         if not cross:
             raise ExportError(f"{page}: the page shows how the fits predict each other; leave --no-cross out")
-    document, compared = _compare(folders, cross, threads, say)
+    document, compared = compare_fits(folders, cross=cross, threads=threads, say=say)
     if page is not None:
         write_file(page, comparison_page(document, compared).encode("utf-8"), ExportError)
     print_comparison(document, [fit.sets for fit in compared], json, page)
@@ -38,19 +37,12 @@ def compare_and_print(
 
 def compare_fits(
     folders: Sequence[Path], *, cross: bool = True, threads: int | None = None, say: Say = None
-) -> tuple[Comparison, tuple[ParameterSets, ...]]:
-    """Compare fits of one kind; return the comparison and the sets of each fit.
+) -> tuple[Comparison, list[ComparedFit]]:
+    """Compare fits of one kind; return the comparison and what is drawn of each fit.
 
     The campaigns of the fits must lie where they lay. With `cross`, every fit's best set predicts every other
     fit's trials. Raises `FitError` for fewer than two fits, or fits of several kinds.
     """
-    document, compared = _compare(folders, cross, threads, say)
-    return document, tuple(fit.sets for fit in compared)
-
-
-def _compare(
-    folders: Sequence[Path], cross: bool, threads: int | None, say: Say
-) -> tuple[Comparison, list[ComparedFit]]:
     if len(folders) < 2:
         raise FitError("one fit compares with nothing; name two or more")
     with Journal(say) as journal:

@@ -14,8 +14,9 @@ from sysid.campaign import read_campaign
 from sysid.errors import ExportError, FitError
 from sysid.fit.adequacy import adequacy
 from sysid.journal import Journal, Say
-from sysid.report.drawing import check_figure_name
-from sysid.report.ladder import print_rungs
+from sysid.report.drawing import check_figure_name, save_figure
+from sysid.report.fold import print_lines, print_result, print_table
+from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_table
 from sysid.storage import check_file, write_file
 from sysid.trust.documents import LadderDocument, LadderRung, TrustDocument, write_part
 from sysid.trust.ladder import Climber, TermFit
@@ -56,7 +57,13 @@ def climb_and_print(
         elif document.keep:
             lines.append("--adopt FILE writes a campaign with what to keep")
     finally:
-        print_rungs(document, trust, lines, json, figure)
+        if not print_result(document.printed(), json):
+            print_table(moves_table(document, trust))
+            print_table(rungs_table(document))
+            print_lines([*conclusion(document), *lines])
+            print_lines([f"{document.evaluations} simulations in {document.seconds:.0f} s"])
+        if figure is not None:
+            save_figure(figure_rungs(document), figure)
 
 
 def climb_ladder(opened: OpenedFit, journal: Journal) -> LadderDocument:

@@ -185,7 +185,7 @@ def validate_fit(
             fit=result.name,
             kind=result.kind,
             campaign=stated,
-            **judgement(judged, float(result.nrmse[0])),
+            **vars(judgement(judged, float(result.nrmse[0]))),
             trials=[
                 ValidatedTrial.model_validate(vars(trial) | row)
                 for trial, row in zip(judged, more, strict=True)
@@ -266,7 +266,7 @@ def cross_validate(
             fit=result.name,
             kind=result.kind,
             campaign=opened.stated,
-            **judgement(judged, float(result.nrmse[0])),
+            **vars(judgement(judged, float(result.nrmse[0]))),
             trials=[
                 LeftOutTrial(**vars(trial), refit=dict(zip(space.names, refit, strict=True)))
                 for trial, refit in zip(judged, decoded.tolist(), strict=True)

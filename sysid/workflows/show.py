@@ -10,7 +10,7 @@ from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
-from sysid.parameter_sets import ADEQUACY, INTERVALS, ParameterSets
+from sysid.parameter_sets import ADEQUACY, ParameterSets
 from sysid.report.fold import print_lines, print_table
 from sysid.report.ladder import conclusion
 from sysid.report.set_tables import (
@@ -60,15 +60,6 @@ def is_unfinished(result: FitResult) -> bool:
     return result.state != "done" or any(run.stop_reason in budgets for run in result.runs)
 
 
-def _continued(result: FitResult, folder: Path) -> str:
-    """Return the command that goes on with a fit whose other search options are the defaults."""
-    place = result.provenance.get("campaign", {}).get("from_fit_folder")
-    search = result.provenance.get("search", {})
-    same = "".join(f" --{name} {search[name]}" for name in ("runs", "seed") if name in search)
-    campaign = os.path.normpath(folder / place) if place else "CAMPAIGN"
-    return f"fit-{result.kind} {campaign} --out {folder} --resume{same}"
-
-
 def print_fit(result: FitResult, folder: Path, json: bool) -> None:
     """Print the sets of a fit and the fit's folder."""
     sets = result.parameter_sets()
@@ -82,7 +73,12 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
     so_far = f" (with {agreed.finished} of {agreed.asked} runs finished)" if agreed.unfinished else ""
     print(f"verdict{so_far}: {verdict_on(result)}")
     print(f"fit written to {folder}{state}; next:")
-    cut = (_continued(result, folder), "first: finish the runs that were cut short (add its other options)")
+    place = result.provenance.get("campaign", {}).get("from_fit_folder")
+    campaign = os.path.normpath(folder / place) if place else "CAMPAIGN"
+    search = result.provenance.get("search", {})
+    same = "".join(f" --{name} {search[name]}" for name in ("runs", "seed") if name in search)
+    again = f"fit-{result.kind} {campaign} --out {folder} --resume{same}"
+    cut = (again, "first: finish the runs that were cut short (add its other options)")
     use = (
         (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
         (f"export {folder} --out sets.json", "the sets for a simulator"),
@@ -102,7 +98,7 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
 def verdict_on(result: FitResult) -> str:
     """Return whether noise explains the fit, and what the data leave open, in one sentence."""
     found, judged = result.provenance.get("findings", ()), result.provenance.get(ADEQUACY)
-    words = {name: row["verdict"] for name, row in result.settings.get(INTERVALS, {}).items()}
+    words = {name: row.verdict for name, row in result.judged.items()}
     unfixed = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}
     words |= {name: "not_identifiable" for name in unfixed if words.get(name) != "not_interpretable"}
     lost = [

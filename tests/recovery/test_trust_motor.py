@@ -107,11 +107,11 @@ def test_a_wrong_motor_is_flagged_however_well_it_fits_itself(
         rows = assess_fit(folder, TrustOptions(resamples=0)).by_name
         assert "not where the sum of squares is least" in rows["winding_resistance"].doubt
         assert rows["winding_resistance"].verdict != "well"
-        document, sets = compare_fits([folder, fit])
+        document, fits = compare_fits([folder, fit])
         resistance = next(one for one in document.differences if one.parameter == "winding_resistance")
         assert resistance.differs is None
         # One campaign's name twice; the columns are told apart by their folders.
-        assert len({one.name for one in sets}) == 2
+        assert len({one.sets.name for one in fits}) == 2
     table = validation_table("fit", found)
     assert "leaves the noise at" in [column.header for column in table.columns]
     if case == "inertia":
