@@ -80,10 +80,10 @@ def comparison_page(document: Comparison, fits: Sequence[ComparedFit]) -> str:
     out += columns(crossed, heading("Intervals") + drawn if drawn.text else drawn)
     out += heading("Traces")
     views = [[_view(fit, trial) for trial in fit.trials] for fit in fits]
-    if every := list(chain.from_iterable(views)):
+    if overlaid := list(chain.from_iterable(views)):
         # Paper has one trial of each fit.
         static = printed([each[0] for each in views if each])
-        out += interactive(every, "traces of all fits", static, noun="trial")
+        out += interactive(overlaid, "traces of all fits", static, noun="trial")
     else:
         out += paragraph("No trials are in these fits.", "note")
     return page(f"sysid: {' and '.join(names)}", out)
