@@ -1,7 +1,7 @@
 """Arrays, directions and spectra: types that every room knows, free of heavy imports."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,14 @@ IntArray = NDArray[np.int64]
 # Which way a motor turns, and which way a bench trial does.
 Rotation = Literal["forward", "reverse"]
 Direction = Literal["forward", "reverse", "reversal"]
+
+
+class Compiled(Protocol):
+    """A function that numba compiles, and its text in Python."""
+
+    py_func: Any
+
+    def __call__(self, *arguments: Any) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from typing import Any
 from numba import types as numba_types
 from numba.extending import intrinsic
 
-# The name under which rewritten functions call it.
+# Name under which rewritten functions call the fused product.
 _NAME = "_fused_multiply_add"
 
 
@@ -99,7 +99,7 @@ def _call(place: ast.AST, *arguments: ast.expr) -> ast.expr:
     return ast.copy_location(ast.Call(function, list(arguments), []), place)
 
 
-def fused(function: Callable[..., Any]) -> Callable[..., Any]:
+def fused(function: Callable[..., object]) -> types.FunctionType:
     """Return a function, to be compiled, with every product that is added to something fused into the sum.
 
     A sum of two products is left: with one of them rounded and the other not, what the rear and the front leg

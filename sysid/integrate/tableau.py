@@ -16,8 +16,8 @@ import numpy as np
 
 STAGES = 5
 REAL_LIMIT = 10.4
-# What decays as it rings, with rate ``z = -zeta + i sqrt(1 - zeta²)`` times its frequency, is stable up to
-# |z| = RING_LIMIT + RING_GAIN zeta, at most RING_MOST (from below: exactly 2.23 undamped, 3.01 at 0.2).
+# A decaying oscillation, of rate ``z = -zeta + i sqrt(1 - zeta²)`` times its frequency, is stable up to |z| =
+# RING_LIMIT + RING_GAIN zeta, at most RING_MOST (rounded down: exactly 2.23 undamped, 3.01 at 0.2).
 RING_LIMIT = 2.2
 RING_GAIN = 4.0
 RING_MOST = 3.0

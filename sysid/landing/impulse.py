@@ -173,7 +173,7 @@ class Impulses:
     ) -> None:
         """Move every optimum to the best of its eight neighbours at a distance, where one is better."""
         settings = self._settings
-        # Where the impulse comes too late to matter there is nothing to refine.
+        # An impulse that comes too late to matter is not refined.
         chosen = np.flatnonzero(which_cells & np.isfinite(impacts[:, 0]) & (delay < impacts[:, 0]))
         around = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]) * step
         which = np.repeat(chosen, len(around))

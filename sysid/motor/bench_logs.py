@@ -56,7 +56,7 @@ def read_log(
     log, options = resolve_log(path, entry.log), entry.log_options
     name = options.format or campaign.log.format or "auto"
     name = detect(log) if name == "auto" else name
-    # What `[log]` says, with its short forms of units in the words of the format.
+    # Options of `[log]`, with its short forms of units in the words of the format.
     whole = campaign.log
     short = {"torque": whole.torque_unit}
     if name == "ati-text":  # six channels by place, which share two units

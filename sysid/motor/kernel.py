@@ -36,7 +36,7 @@ from numba import njit
 
 from sysid.motor.dense_output import between, integral, write_charge, write_cubic, write_states
 
-# What the equations read of a parameter table, by name: the layout of every `row` in this file.
+# Parameters that the equations read, by name: the layout of every `row` in this file.
 READS = (
     "winding_resistance",
     "winding_inductance",
@@ -60,7 +60,7 @@ INERTIA = READS.index("rotor_inertia")
 I_SAT, OMEGA_MIN = READS.index("saturation_current"), READS.index("saturation_speed")
 DELAY = READS.index("command_delay")
 SAG, DEAD, WARMING = (READS.index(name) for name in READS[-3:])
-# First of four coefficients: two of forward rotation, and `REVERSE` columns further the same of reverse.
+# Column of the first of four coefficients: two of forward rotation, `REVERSE` columns further two of reverse.
 NO_LOAD = READS.index("no_load_slope_forward")
 TORQUE = READS.index("torque_quadratic_forward")
 REVERSE = READS.index("torque_quadratic_reverse") - TORQUE
@@ -70,15 +70,18 @@ DONE, NO_STEADY_STATE, TOO_MANY_STEPS, NOT_FINITE, STUCK = 0, 1, 2, 3, 4
 # How a trial starts.
 AS_GIVEN, STEADY = 0, 1
 
-# Steps of one trial, and of one candidate on all its trials: an ordinary one takes some 80 per second and
-# 300 to 450 ns each, so a candidate is cut before it takes 2 s. Equal shares need no clock and no order.
+# Largest number of steps of one trial, and of one candidate on all its trials: an ordinary one takes some 80
+# per second and 300 to 450 ns each, so a candidate is cut before it takes 2 s. Equal shares need no clock and
+# no order.
 MAX_STEPS, CANDIDATE_STEPS = 400_000, 4_000_000
-# Steps that take as long as finding where an event ends one.
+# Number of steps that take as long as the search for the event that ends a step.
 _EVENT = 6
 # Time scale that turns a speed scale into a torque scale for the absolute tolerance of the current [s].
 _SPIN_UP_TIME = 0.1
-# Current below which the dead-time voltage fades [A]; longest step with what is constant in one [s].
-_DEAD_CURRENT, _TERM_STEP = 0.1, 5e-4
+# Current below which the dead-time voltage fades [A].
+_DEAD_CURRENT = 0.1
+# Longest step with a term whose coefficient is constant within a step [s].
+_TERM_STEP = 5e-4
 
 _GAMMA = 0.25
 _C2, _C3, _C4 = 0.386, 0.21, 0.63

@@ -4,7 +4,7 @@ from math import exp, log
 
 from numba import njit
 
-# What the equation reads of the table, by name: the layout of a kernel's row.
+# Parameters that the equation reads, by name: the layout of a kernel's row.
 READS = (
     "rise_time_constant",
     "fall_time_constant",
@@ -14,9 +14,9 @@ READS = (
 )
 _RISE, _FALL = READS.index("rise_time_constant"), READS.index("fall_time_constant")
 _DELAY = READS.index("command_delay")
-# Ω_ss(u) = s (p0 + p1 |u| + p2 u²), s = sign u: first coefficient of either direction.
+# Column of p0 of Ω_ss(u) = s (p0 + p1 |u| + p2 u²), s = sign u, in either direction.
 _STEADY, _STEADY_REVERSE = READS.index("steady_speed_0_forward"), READS.index("steady_speed_0_reverse")
-# c2, then c1 of either direction.
+# Column of c2 of either direction; c1 follows.
 _TORQUE = READS.index("torque_quadratic_forward")
 _TORQUE_REVERSE = READS.index("torque_quadratic_reverse")
 

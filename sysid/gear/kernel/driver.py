@@ -18,7 +18,6 @@ Status codes of a job: see `OK` ... `BOTH_TOUCHED`.
 
 import hashlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -46,11 +45,12 @@ from sysid.gear.kernel.stage import law_at
 from sysid.gear.surfaces.surface import Surface, law_text, specialized
 from sysid.integrate.fused import chosen, fused
 from sysid.integrate.tableau import STAGES, E
+from sysid.types import Compiled
 
-# Bound to a surface's functions when a driver or a reader is made.
-evaluate: Any = None
-after_step: Any = None
-friction: Any = None
+# Names that a driver or a reader binds to a surface's functions.
+evaluate: Compiled = None  # type: ignore[assignment]
+after_step: Compiled = None  # type: ignore[assignment]
+friction: Compiled = None  # type: ignore[assignment]
 
 OK = 0
 STEP_COLLAPSED = 1
@@ -60,10 +60,10 @@ CAME_TO_REST = 4
 FLIPPED_OVER = 5
 BOTH_TOUCHED = 6
 
-# Kinds of events in `marks`, and what an event happens to.
+# Kinds of events in `marks`, and the part that an event happens to.
 TOUCHDOWN, LIFT_OFF, SLIP, STICK, FLIP, REST = range(6)
 REAR, FRONT, BODY = range(3)
-# Columns of `moments`: the first touchdowns of the rear and the front foot come before them.
+# Columns of `moments` behind the first touchdowns of the rear and the front foot.
 FLIP_AT, REST_AT = 2, 3
 # Row of `states` behind the states at the two touchdowns.
 AT_END = 2
@@ -71,9 +71,9 @@ AT_END = 2
 # the legs; a light leg may err 30 times more than the body, whose motion is what is measured.
 WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
 
-# First step of a drop, and after a foot has switched its mode [s].
+# Length of the first step of a drop, and of the first one after a foot has switched its mode [s].
 FIRST_STEP = 6e-5
-# Two instants closer than this are one [s].
+# Largest distance of two instants that are one [s].
 _SAME = 1e-10
 
 
@@ -237,7 +237,7 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
                 work[at.TAKEN * lanes + lane] = taken
                 count = work[at.COUNT * lanes + lane] + STAGES
                 work[at.COUNT * lanes + lane] = count
-                # What happened in the step: contact, turning over, coming to rest.
+                # News of the step: contact, turning over, coming to rest.
                 touch_c = 1.0 if work[at.NORMAL * lanes + lane] > 0.0 else 0.0
                 touch_d = 1.0 if work[(at.NORMAL + 1) * lanes + lane] > 0.0 else 0.0
                 change_c = touch_c - work[at.TOUCHED * lanes + lane]

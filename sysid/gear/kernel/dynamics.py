@@ -28,7 +28,7 @@ from sysid.gear.kernel import parameter_row as column
 from sysid.gear.kernel.geometry import foot_motion, joint_position, sine_cosine
 from sysid.integrate.fused import fused
 
-# What the equations of motion read; C is the rear leg, D the front leg. k_h, b_h: axial spring and damper;
+# Numbers of the equations of motion; C is the rear leg, D the front leg. k_h, b_h: axial spring and damper;
 # k_t, b_t: bending; dx_j, dz_j: joints; length, q_n: length and angle of a leg at rest; arm, rho_0:
 # distance of its centre of mass from the foot and, at rest, from the joint; per_m, per_i: 1/m_B, 1/I_B;
 # per_mc, per_ic, per_md, per_id: 1/m_leg, 1/I_leg; g_s, g_w: gravity along the slope's tangent and normal.
@@ -190,7 +190,7 @@ def accelerations(joints, angles, rates, loads, normals, friction_c, friction_d,
     along_c = friction_c * sin_c + normal_c * cos_c
     across_d = friction_d * cos_d - normal_d * sin_d
     along_d = friction_d * sin_d + normal_d * cos_d
-    # What is known of the body's accelerations before the constraint forces.
+    # The body's accelerations without the constraint forces.
     a_s = lift * sin_phi - (axial_c * sin_c + axial_d * sin_d) * per_m
     a_w = lift * cos_phi - (axial_c * cos_c + axial_d * cos_d) * per_m
     alpha = tilt - (moment_c + moment_d + (axial_c * n_c + axial_d * n_d)) * per_i

@@ -17,7 +17,7 @@ from sysid.gear.kernel.parameter_row import (
 from sysid.gear.kernel.stage import coefficients_at
 from sysid.integrate.tableau import STAGES
 
-# What `locate` looks for: the penetration of a foot, a turn beyond the flip, an excess of motion.
+# Quantities whose zero `locate` finds: penetration of a foot, turn beyond the flip, excess of motion.
 REAR_FOOT, FRONT_FOOT, TURN, MOTION = range(4)
 
 

@@ -1,7 +1,5 @@
 """One stage of a step: from the rows of a lane to its accelerations. Inlined into loops over lanes."""
 
-from typing import Any
-
 from numba import njit
 
 from sysid.gear.kernel import work_buffer as at
@@ -9,16 +7,17 @@ from sysid.gear.kernel.dynamics import Coefficients, feet, pose, ringing
 from sysid.gear.kernel.geometry import normal_force
 from sysid.integrate.fused import fused
 from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C
+from sysid.types import Compiled
 
-# Part of the method's real stability limit that a step may use: the slip's decay rate can grow within the
-# step.
+# Share of the method's real stability limit that a step may use [1]: the slip's decay rate can grow within
+# the step.
 STABLE = 0.9
 
-# Bound to a surface's functions, and to `sysid.gear.kernel.terms`, when a driver is made.
-solve: Any = None
-modes: Any = None
-added: Any = None
-approach: Any = None
+# Names that a driver binds to a surface's functions, and to `sysid.gear.kernel.terms`.
+solve: Compiled = None  # type: ignore[assignment]
+modes = False
+added: Compiled = None  # type: ignore[assignment]
+approach: Compiled = None  # type: ignore[assignment]
 
 
 @njit(error_model="numpy", forceinline=True)

@@ -26,7 +26,7 @@ from sysid.gear.kernel import parameter_row as column
 from sysid.gear.kernel import work_buffer as at
 from sysid.integrate.fused import fused
 
-# Speeds below which dry friction is smoothed [m/s, rad/s].
+# Largest speeds at which dry friction is smoothed [m/s, rad/s].
 _SLIDE_SPEED, _JOINT_SPEED = 0.01, 0.1
 
 

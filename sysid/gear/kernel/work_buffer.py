@@ -47,7 +47,7 @@ SLIP = _rows(2)
 FRICTION = _rows(2)
 REQUIRED = _rows(2)
 FRICTION_0 = _rows(2)  # friction at the step's start
-# Modes of a law that has them, two rows each.
+# Modes of the feet under a law with modes, two rows each.
 STUCK = _rows(2)
 WAY = _rows(2)
 MARGIN = _rows(2)
@@ -57,13 +57,13 @@ LIFT = _rows(4)  # [m/s², ...]
 TILT = _rows(4)  # [rad/s², ...]
 ORIGIN = _rows()  # lane time at which the clock of the segment is 0
 SEGMENT_END = _rows()  # lane time at which the segment ends
-# What has happened.
+# Events so far.
 TOUCHED = _rows(2)  # foot touches (with a log of events) or has touched (without)
 FLIPPED = _rows()  # 1 once the body has turned over
 RESTED = _rows()  # 1 once it has come to rest
 MOVED = _rows()  # end of the last step at whose end the body still moved
 HOLD = _rows()  # lane time until which the body counts as moving
-# What a law with modes sees at the stages within the step: two rows each (rear, front), for every stage.
+# Numbers of a law with modes at every stage within the step, two rows each: rear, front.
 INNER_ROWS = 6
 INNER = _rows(INNER_ROWS * (STAGES - 1))
 INNER_NORMAL, INNER_SLIP, INNER_REQUIRED = 0, 2, 4

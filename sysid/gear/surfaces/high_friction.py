@@ -28,10 +28,10 @@ from sysid.integrate.tableau import STAGES, C
 
 # Decay rate of a stuck foot's residual slip [1/s].
 _SETTLE = 200.0
-# An event is hit when the step ends at most this late [s].
+# Longest time from an event to the end of the step that hits it [s].
 _LATE = 1e-7
 _NEVER = -1e30
-# The shortest step that is cut for what its inner stages saw [s], and the least share of it that is left.
+# Shortest step that is cut for what its inner stages saw [s], and the least share of it that is left [1].
 _INNER_STEP = 1e-6
 _INNER_SHARE = 0.1
 
@@ -279,9 +279,9 @@ SURFACE = Surface(
         "static_friction_excess": 0.08,
     },
     bounds={"kinetic_friction": (0.5, 1.2)},
-    # Up to the third contact of such drops an error of at most 0.01 % NRMSE where 0.3 % is allowed: what sets
-    # it is the noise that it brings to the cost. It moves the fitted k_s by 0.6 % (at most 1 %), m_leg and
-    # all others but b_s and mu_s - mu_k by less than 0.5 %.
+    # Up to the third contact of such drops its error is at most 0.01 % NRMSE where 0.3 % is allowed: the
+    # noise that it brings to the cost is the limit. It moves the fitted k_s by 0.6 % (at most 1 %), m_leg
+    # and all others but b_s and mu_s - mu_k by less than 0.5 %.
     tolerance=1e-3,
     # 4.9 times what the paper's gear takes on average over six drops, 3.3 times what random points within the
     # bounds take; 0.5 % of the drops there need more: bounces and switches without end.

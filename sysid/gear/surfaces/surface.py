@@ -7,22 +7,22 @@ import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from numba import njit
 
 from sysid.gear.kernel.dynamics import accelerations, foot_looseness
 from sysid.gear.kernel.parameter_row import LAW_SLOTS
+from sysid.types import Compiled
 
-# Free on every surface by default.
+# Parameters that are free on every surface by default.
 LEGS_AND_GROUND = (
     "joint_dx", "joint_dz", "leg_axial_stiffness", "leg_axial_damping", "leg_bending_stiffness",
     "leg_bending_damping", "ground_stiffness", "ground_damping",
 )  # fmt: skip
 
-# Bound to the formulas of a law by `continuous_law`.
-friction: Any = None
-damping: Any = None
+# Names that `continuous_law` binds to the formulas of a law.
+friction: Compiled = None  # type: ignore[assignment]
+damping: Compiled = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +62,9 @@ class Surface:
     name: str
     reads: tuple[str, ...]
     free: tuple[str, ...]
-    solve: Any
-    after_step: Any = None
-    friction: Any = None
+    solve: Compiled
+    after_step: Compiled | None = None
+    friction: Compiled | None = None
     nominal: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     tolerance: float = 3e-4
@@ -86,7 +86,7 @@ class Surface:
         return self.after_step is not None
 
 
-def specialized(function: Callable[..., Any], **bindings: Any) -> Callable[..., Any]:
+def specialized(function: Callable[..., object], **bindings: object) -> types.FunctionType:
     """Return a copy of a Python function that sees other functions under the given global names.
 
     The way one text serves every surface: numba inlines what the names are bound to.
@@ -109,14 +109,14 @@ def law_text(surface: Surface) -> bytes:
     file = Path(inspect.getfile(law.py_func))
     if file.is_file():
         return file.read_bytes()
-    texts: dict[Any, bytes] = {}
+    texts: dict[types.FunctionType, bytes] = {}
     for function in (surface.friction, surface.solve, surface.after_step):
         if function is not None:
             _collect(function.py_func, texts)
     return b"".join(texts.values())
 
 
-def _collect(function: Any, texts: dict[Any, bytes]) -> None:
+def _collect(function: types.FunctionType, texts: dict[types.FunctionType, bytes]) -> None:
     """Add the code, constants and called functions of a Python function, each once."""
     if function in texts:
         return
@@ -128,21 +128,22 @@ def _collect(function: Any, texts: dict[Any, bytes]) -> None:
         plain = [repr(value) for value in part.co_consts if not isinstance(value, types.CodeType)]
         text += part.co_code + repr((plain, part.co_names, part.co_varnames, part.co_freevars)).encode()
         for name in (*part.co_names, *part.co_freevars):
-            value: Any = seen.get(name)
-            if hasattr(value, "py_func"):
+            value = seen.get(name)
+            if value is not None and hasattr(value, "py_func"):
                 _collect(value.py_func, texts)
             elif isinstance(value, bool | int | float | tuple):
                 text += f"{name}={value!r}".encode()
     texts[function] = text
 
 
-def continuous_law(friction: Any, damping: Any) -> Any:
+def continuous_law(friction: Compiled, damping: Compiled) -> Compiled:
     """Make a `Surface.solve` from the compiled formula of a friction that is a function of force and slip.
 
     `friction` is as in `Surface`; `damping` is ``(force, slip, law) -> -dF_t/dv`` [N·s/m], 0 or more.
     """
     bound = specialized(_solve, friction=friction, damping=damping)
-    return njit(error_model="numpy", forceinline=True)(bound)
+    made: Compiled = njit(error_model="numpy", forceinline=True)(bound)
+    return made
 
 
 def _solve(joints, angles, rates, loads, normals, slips, modes, law, coefficients):
