@@ -18,7 +18,6 @@ from sysid.landing.real_landings import Experiment, read_experiments, strangers
 from sysid.landing.settings import ImpulseSettings, Scenario
 from sysid.landing.simulate import land, land_many
 from sysid.landing.store import read_maps
-from sysid.marks import span
 from sysid.resume import BlockStore
 from sysid.workflows import landing_maps
 
@@ -208,29 +207,6 @@ def test_origins_of_two_fits_of_one_name_are_both_kept(done):
     assert origin["gear"]["lf"] != origin["gear"]["hf"]
 
 
-@pytest.mark.parametrize(
-    ("text", "last", "count"),
-    [
-        ("0:2:0.3", 1.8, 7),
-        ("0:0.3:0.1", 0.3, 4),
-        ("0:2:0.05", 2.0, 41),
-        ("0:0.26:0.01", 0.26, 27),
-        ("0:45:1", 45.0, 46),
-        ("1:1:2", 1.0, 1),
-        ("3,5", 5.0, 2),
-    ],
-)
-def test_spans_end_at_or_before_their_last(text, last, count):
-    found = span(text, "--speeds")
-    assert (found[-1], len(found)) == (last, count)
-
-
-@pytest.mark.parametrize("text", ["0:45", "a", "1,1", "5:0:1", "0:1:0", ""])
-def test_spans_that_make_no_sense(text):
-    with pytest.raises(CampaignError, match="--slopes"):
-        span(text, "--slopes")
-
-
 def test_what_flips_first_has_no_time_to_rest():
     """On 10 deg at 2 m/s the drone is over after 0.40 s and lies still on its back after 2.5 s."""
     drone, cell, off = published(), Scenario(math.radians(10.0), 2.0), find_controller("off")
@@ -240,13 +216,3 @@ def test_what_flips_first_has_no_time_to_rest():
     assert one.outcome == many.outcome[0] == Outcome.FLIPPED
     assert math.isnan(one.time)
     assert math.isnan(many.time[0])
-
-
-@pytest.mark.parametrize(
-    ("command", "unit"),
-    [(("simulate",), "[deg]"), (("landing-map",), "[m/s]"), (("synthesize", "gear"), "[deg]")],
-)
-def test_help_keeps_the_units(run, command, unit):
-    code, out, _ = run(*command, "--help")
-    assert code == 0
-    assert unit in out

@@ -88,15 +88,24 @@ def test_quantities_carry_units_and_bare_numbers_keep_theirs(parse):
         ("0 deg, 1 rad", "deg", (0, 57.295779513)),
         ("0:100:50 ms", "s", (0, 0.05, 0.1)),
         ("0.3,0.6 m/s", "m/s", (0.3, 0.6)),
+        # A span ends at or before its last number.
+        ("0:2:0.3", "1", (0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8)),
+        ("0:0.3:0.1", "1", (0, 0.1, 0.2, 0.3)),
+        ("0:2:0.05", "1", tuple(round(0.05 * k, 2) for k in range(41))),
+        ("0:0.26:0.01", "1", tuple(round(0.01 * k, 2) for k in range(27))),
+        ("0:45:1", "1", tuple(range(46))),
+        ("1:1:2", "1", (1,)),
     ],
 )
 def test_grids_carry_units(text, unit, values):
     assert span(text, "--slopes", unit) == values
 
 
-def test_a_grid_in_a_wrong_unit_is_refused():
-    with pytest.raises(CampaignError, match="--slopes '0:45:1 m': unit 'm' is not a 'deg'"):
-        span("0:45:1 m", "--slopes", "deg")
+@pytest.mark.parametrize("text", ["0:45", "a", "1,1", "5:0:1", "0:1:0", "", "0:45:1 m"])
+def test_grids_that_make_no_sense(text):
+    words = "unit 'm' is not a 'deg'" if text.endswith("m") else ""
+    with pytest.raises(CampaignError, match=f"--slopes '{text}': {words}"):
+        span(text, "--slopes", "deg")
 
 
 def test_folders_stand_for_what_lies_in_them(tmp_path):
@@ -142,6 +151,8 @@ def test_help_fits_80_columns_lists_every_command_and_ends_with_an_example():
         text = runner.invoke(app, [*name.split(), "-h"], terminal_width=80).output
         assert max(map(len, text.splitlines())) <= 80, name
         assert re.search(rf"Example:\n *sysid {name}\b", text), name
+        # No markup eats the units.
+        assert "[deg]" in text or name not in ("simulate", "landing-map", "synthesize gear")
         summary = one.help.partition("\n")[0]
         assert len(summary) <= 60
         assert summary in (whole if " " not in name else runner.invoke(app, [name.split()[0], "-h"]).output)

@@ -110,13 +110,6 @@ def test_ctrl_c_outlives_a_compiler_that_swallows_exceptions(monkeypatch, run):
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_printing_a_fit_imports_nothing_slow():
-    """`sysid show` takes half a second of processor time; any of these modules would take longer."""
-    code = "import sys, sysid.workflows.show as _; print(*({'scipy', 'numba', 'pandas'} & {*sys.modules}))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == []
-
-
 def test_new_campaign_writes_a_template(tmp_path, run, refused):
     target = tmp_path / "mine.toml"
     code, out, _ = run("new-campaign", "motor", "--out", target)
