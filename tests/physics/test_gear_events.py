@@ -191,6 +191,8 @@ def test_surfaces_are_declared():
         assert find_surface(name) is surface
         assert set(surface.reads) <= set(PARAMETERS)
         assert set(surface.free) <= set(PARAMETERS)
+    assert [len(SURFACES[name].free) for name in ("lf", "hf")] == [8, 12]
+    assert len({row.symbol for row in PARAMETERS.values()}) == len(PARAMETERS)
     assert parameters_on("hf")["kinetic_friction"].nominal == 0.87
     assert parameters_on("lf").nominal == PARAMETERS.nominal
     with pytest.raises(ValueError, match="memory"):

@@ -66,24 +66,16 @@ def test_fit_setting_up_to_the_third_contact(slope_deg, speed):
 
 
 @pytest.mark.parametrize("slope_deg", [5, 20, 35])
-def test_stuck_feet_stay_where_they_are(slope_deg):
+def test_forces_and_stuck_feet_respect_the_modes(slope_deg):
     time = np.arange(0, 0.7, 1e-4)
     trajectory = run(slope_deg, 0.7, time, tolerance=1e-5)
     stuck = stuck_feet(time, trajectory.switches)
-    place, _ = feet(math.radians(slope_deg), trajectory.state)
+    place, speed = feet(math.radians(slope_deg), trajectory.state)
     assert stuck.any()
     for foot in range(2):
         for begin, end in runs(stuck[:, foot]):
             # The multiplier holds the foot's acceleration at zero; 10 um over a contact is promised.
             assert np.ptp(place[begin:end, foot]) < 1e-5
-
-
-@pytest.mark.parametrize("slope_deg", [5, 20, 35])
-def test_forces_respect_the_modes(slope_deg):
-    time = np.arange(0, 0.7, 1e-4)
-    trajectory = run(slope_deg, 0.7, time, tolerance=1e-5)
-    stuck = stuck_feet(time, trajectory.switches)
-    _, speed = feet(math.radians(slope_deg), trajectory.state)
     normal, friction = trajectory.normal_force, trajectory.friction_force
     mu_s = P["kinetic_friction"] + P["static_friction_excess"]
     # Between step ends friction is interpolated linearly, the normal force is not: 0.02 N here, 0.002 N at a

@@ -15,7 +15,6 @@ from sysid.gear import model
 from sysid.gear import parameters as gear_parameters
 from sysid.gear.kernel import driver as kernel
 from sysid.gear.model import (
-    LF_FREE,
     PARAMETERS,
     SURFACES,
     Status,
@@ -32,15 +31,6 @@ def random_rows(count, seed=0, surface="lf"):
     table, free = parameters_on(surface), SURFACES[surface].free
     cube = np.random.default_rng(seed).random((count, len(free)))
     return SearchSpace.build(table, free, {}).full(cube)
-
-
-def test_table():
-    assert len(LF_FREE) == 8
-    high = SURFACES["hf"].free
-    assert len(high) == 12
-    assert set(high) <= set(PARAMETERS)
-    symbols = [row.symbol for row in PARAMETERS.values()]
-    assert len(set(symbols)) == len(symbols)
 
 
 def test_pack_keeps_table_order_and_names():

@@ -9,12 +9,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import QuadMesh
 
 from fakes.printed import printed
-from sysid.errors import CampaignError, ExportError, LogError
+from sysid.errors import ExportError, LogError
 from sysid.landing.impulse_maps import OPTIMUM, UNITS, ImpulseMap
 from sysid.landing.maps import LandingMap, cell_edges, nearest_cell
 from sysid.landing.outcomes import Outcome
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments
-from sysid.landing.settings import SLOPES_DEG, SPEEDS, ImpulseSettings, MapSettings
+from sysid.landing.settings import SLOPES_DEG, SPEEDS, ImpulseSettings
 from sysid.landing.store import MapFile, read_maps, write_maps
 from sysid.report.drawing import save_figure
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_landing_maps, legend_entries
@@ -76,26 +76,6 @@ def test_the_papers_grid():
     assert 5 * 46 * 41 * tried.combinations == 4_328_370  # the 4.3 million combinations of a map
 
 
-def test_blocks_stop_and_go_on(tmp_path):
-    result = tmp_path / "map.h5"
-    work = Squares()
-    store = BlockStore(result, {"grid": 1})
-    stopping = Computing(store=store, stop=lambda: work.calls >= 2)
-    part = stopping.blocks(work, BLOCKS)
-    store.close()
-    assert 2 <= len(part) < len(BLOCKS)
-    again, seen = Squares(), []
-    store = BlockStore(result, {"grid": 1}, resume=True)
-    whole = Computing(store=store, on_block=lambda rows, new: seen.append(new)).blocks(again, BLOCKS)
-    assert again.calls == len(BLOCKS) - len(part)
-    assert seen.count(False) == len(part)
-    for name, rows in BLOCKS.items():
-        np.testing.assert_array_equal(whole[name][0], rows[:, 0] ** 2)
-        assert whole[name][1].dtype == np.int64
-    store.discard()
-    assert not BlockStore.folder_of(result).exists()
-
-
 def test_blocks_that_are_damaged_are_computed_again(tmp_path):
     result = tmp_path / "map.h5"
     store = BlockStore(result, {})
@@ -120,17 +100,11 @@ def test_blocks_that_are_damaged_are_computed_again(tmp_path):
 
 def test_blocks_are_never_mixed_up(tmp_path):
     result = tmp_path / "map.h5"
-    with pytest.raises(ExportError, match="nothing to continue"):
-        BlockStore(result, {}, resume=True)
     store = BlockStore(result, {"controller": "off"})
     with pytest.raises(ExportError, match="another process"):
         BlockStore(result, {"controller": "off"})
     Computing(store=store).blocks(Squares(), BLOCKS)
     store.close()
-    with pytest.raises(ExportError, match="continue it with --resume"):
-        BlockStore(result, {"controller": "off"})
-    with pytest.raises(ExportError, match="the controller differs"):
-        BlockStore(result, {"controller": "reverse"}, resume=True)
     store = BlockStore(result, {"controller": "reverse"}, force=True)
     assert not list(BlockStore.folder_of(result).glob("*.npz"))
     store.close()
@@ -458,8 +432,3 @@ def test_loops_around_single_cells_are_no_contours():
     assert [len(one) for one in pieces] == [1, 1, 1]
     for (line,), level in zip(pieces, (0.1, 0.2, 0.45), strict=True):
         np.testing.assert_allclose(line[[0, -1], 1], 60 * level, rtol=1e-9)
-
-
-def test_slopes_that_do_not_increase():
-    with pytest.raises(CampaignError, match="increasing"):
-        MapSettings(slopes_deg=(2.0, 1.0))
