@@ -319,8 +319,8 @@ class _Scored:
         return scored.cost, scored.failed, simulations, *further
 
 
-def scored_by(problem: Problem, executor: Executor) -> Problem:
-    """Return a problem, which travels once, whose candidates an executor scores."""
+def computed_by(problem: Problem, executor: Executor) -> Problem:
+    """Return a problem whose candidates and residuals an executor computes; it travels at the first use."""
     scored, examined = (executor.share(_Scored(problem, residuals)) for residuals in (False, True))
 
     def evaluate(cube: FloatArray) -> Evaluation:
@@ -332,8 +332,9 @@ def scored_by(problem: Problem, executor: Executor) -> Problem:
         return Evaluation(cost, failed, int(simulations.sum())), residuals
 
     spread = copy(problem)
-    object.__setattr__(spread, "evaluate", evaluate)
-    object.__setattr__(spread, "examine", examine)
+    ways = {"evaluate": evaluate, "examine": examine, "residuals": executor.share(problem.residuals)}
+    for name, way in ways.items():
+        object.__setattr__(spread, name, way)
     return spread
 
 

@@ -20,7 +20,6 @@ the step describes the step, not the model; such parameters are named.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +28,6 @@ from sysid.errors import FitError
 from sysid.fit.least_squares import LEAST_NRMSE
 from sysid.fit.problem import Problem
 from sysid.fit.trial import Block
-from sysid.parallel import Executor
 from sysid.types import BoolArray, FloatArray
 
 # Steps of the unit cube: the first one, the least, the largest.
@@ -38,13 +36,6 @@ _FIRST, _LEAST, _LARGEST = 2e-3, 5e-4, 0.05
 _SHARE = 2.0
 # A derivative whose two steps differ by more than this share of it is not trustworthy [1].
 TRUSTED = 0.1
-
-
-def spread_over(problem: Problem, executor: Executor) -> Problem:
-    """Return a problem whose residuals an executor computes."""
-    spread = copy(problem)
-    object.__setattr__(spread, "residuals", executor.share(problem.residuals))
-    return spread
 
 
 def nrmse_of(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from sysid.fit.history import RunHistory, summed
 from sysid.fit.kind import Course, FitOutcome
 from sysid.fit.least_squares import noise_floor
 from sysid.fit.optima import agreement, loose_findings, waterfall
-from sysid.fit.problem import Problem, scored_by
+from sysid.fit.problem import Problem, computed_by
 from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult, bound_findings, ranked_sets
 from sysid.fit.search import Hooks, run_many
@@ -243,7 +243,7 @@ def _search(
     with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
         hooks = Hooks(progress.on_generation, progress.on_run, flag)
         runs = run_many(
-            scored_by(fitted, where),
+            computed_by(fitted, where),
             settings,
             checkpoint=checkpoint,
             hooks=hooks,

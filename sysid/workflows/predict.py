@@ -15,7 +15,7 @@ import numpy as np
 
 from sysid.errors import FitError
 from sysid.fit.kind import Kind, Words
-from sysid.fit.problem import ASSUMED_NOISE, Problem
+from sysid.fit.problem import ASSUMED_NOISE, Problem, computed_by
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.fit.story import Story
@@ -35,7 +35,6 @@ from sysid.trust.documents import (
     write_part,
 )
 from sysid.trust.influence import standing_out
-from sysid.trust.problem import spread_over
 from sysid.trust.validation import judge, judgement
 from sysid.types import BoolArray, FloatArray
 from sysid.workflows.kinds import naming_campaign, open_campaign
@@ -251,7 +250,7 @@ def cross_validate(
         if len(problem.trials) < 2:
             raise FitError(f"{folder}: a single trial was fitted; leaving it out leaves nothing")
         with executor(dask, 2) as where:
-            spread = spread_over(problem, where)
+            spread = computed_by(problem, where)
             linear = linearize(spread, result.cube[0])
             journal.tell(f"{len(problem.trials)} fits, each without one trial")
             refits = leave_one_out(spread, linear)

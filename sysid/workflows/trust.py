@@ -6,23 +6,34 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sysid.errors import FitError
 from sysid.fit.adequacy import NOT_BY, misfit_finding
 from sysid.fit.kind import Words
+from sysid.fit.problem import computed_by
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_texts
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import Parameter, SearchSpace, about, in_words
 from sysid.trust.assessment import FEWEST, Assessment, assess
-from sysid.trust.documents import Arrays, TrustDocument, stating_intervals, write_part
+from sysid.trust.documents import (
+    Arrays,
+    Bootstrap,
+    ChannelNoise,
+    FreeParameter,
+    Noise,
+    Spread,
+    SpreadOfTrial,
+    TrialInfluence,
+    TrustDocument,
+    stating_intervals,
+    write_part,
+)
 from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
-from sysid.trust.problem import spread_over
 from sysid.trust.terms import freed
 from sysid.types import FloatArray
 from sysid.workflows.options import TrustOptions
@@ -36,8 +47,7 @@ _STATEMENT = (
     "not explain the trials, an interval also contains what misfit leaves open, and where the parameter goes "
     "in a search with all terms that the model may lack"
 )
-_ENDS = ("interval_68", "interval_95", "open_68", "open_95")
-# Relative to the standard deviation of the linearization: farther apart is worth a word.
+# Least distance of the best set from the minimum that is worth a word [standard deviations].
 _MOVED = 2.0
 
 
@@ -61,13 +71,13 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     The journal is open. It hears what is doubtful; the document has all that it has heard.
     """
     began = time.perf_counter()
-    problem = opened.problem
+    problem, space = opened.problem, opened.space
     journal.noun = opened.kind.words.trials
     journal.fold(len(opened.whole.trials))
-    if not len(opened.space.free):
+    if not len(space.free):
         raise FitError(f"{opened.folder}: nothing is free")
     with executor(options.dask, 2) as where:
-        spread = spread_over(problem, where)
+        spread = computed_by(problem, where)
         assessed = assess(
             spread,
             opened.result.cube[0],
@@ -76,13 +86,15 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
             seed=options.seed,
             say=journal.tell,
         )
-        floors = problem.floors(problem.space.full(assessed.linear.point[None])[0])
+        floors = problem.floors(space.full(assessed.linear.point[None])[0])
         trials = influence(spread, assessed.noise, floors, assessed.without)
-    judged = assessed.adequacy
-    rows = _parameters(opened.result, opened.space, assessed)
+    judged, linear, boot = assessed.adequacy, assessed.linear, assessed.resampled
     lacks = judged.verdict == NOT_BY
-    without = opened.space.decode(trials.without)
-    _notice_trials(problem.names, without, trials, rows, opened.kind.words, lacks)
+    without = space.decode(trials.without)
+    rows = _parameters(opened.result, space, assessed)
+    # Why the interval of a parameter may miss the truth, by its name.
+    doubts: dict[str, list[str]] = {row.name: [] for row in rows}
+    _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks)
     record = opened.result.provenance
     same_file = record.get("campaign", {}).get("sha256") == opened.stated["sha256"]
     findings = record.get("findings", ()) if same_file else ()
@@ -92,27 +104,54 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         same = said.get(finding.code) if not finding.trials else None
         journal.add(replace(finding, sentence=same or finding.sentence))
     for row in rows if lacks else ():
-        _doubt(row, "the model does not explain the trials")
-    for finding in _doubts(opened.space.free, rows, assessed, opened.result.cube[0]):
+        doubts[row.name].append("the model does not explain the trials")
+    for finding in _doubtful(space.free, rows, doubts, assessed, opened.result.cube[0]):
         journal.add(finding)
-    content, arrays = _document(opened, assessed, trials, floors, rows)
+    boot_record, evaluations = None, assessed.profiles.evaluations + trials.evaluations
+    if boot is not None:
+        boot_record = Bootstrap(resamples=len(boot.points), failed=int(np.count_nonzero(~boot.converged)))
+        evaluations += boot.evaluations
     document = TrustDocument(
-        fit=opened.result.name, kind=opened.result.kind, warnings=journal.sentences(),
-        seconds=time.perf_counter() - began, **content,
-    )  # fmt: skip
-    return document, arrays
+        fit=opened.result.name,
+        kind=opened.result.kind,
+        adequacy=judged,
+        campaign=opened.stated,
+        parameters=[_with_doubts(row, doubts[row.name]) for row in rows],
+        correlation=linear.information.correlation.tolist(),
+        noise=Noise(statement=_statement(opened), channels=_channels(opened, assessed, floors)),
+        trials=[
+            TrialInfluence(
+                name=name,
+                ratio=float(trials.ratio[t]),
+                without=dict(zip(space.names, without[t].tolist(), strict=True)),
+                shift=dict(zip(space.names, trials.shift[t].tolist(), strict=True)),
+            )
+            for t, name in enumerate(problem.names)
+        ],
+        notes=_notes(opened, boot),
+        spread=_spread(opened.result),
+        bootstrap=boot_record,
+        evaluations=evaluations,
+        warnings=journal.sentences(),
+        seconds=time.perf_counter() - began,
+    )
+    return document, _arrays(space, assessed)
 
 
-def _doubts(
-    free: Sequence[Parameter], rows: list[dict[str, Any]], assessed: Assessment, best: FloatArray
+def _doubtful(
+    free: Sequence[Parameter],
+    rows: list[FreeParameter],
+    doubts: dict[str, list[str]],
+    assessed: Assessment,
+    best: FloatArray,
 ) -> Iterator[Finding]:
-    """Yield rough derivatives, and that the best set (n,) is not the minimum; mark the rows they touch."""
+    """Yield rough derivatives, and that the best set (n,) is not the minimum, which the rows then doubt."""
     linear = assessed.linear
     moves = np.abs(linear.point - best) / np.maximum(linear.information.sigma, 1e-12)
     for parameter, row, jump in zip(free, rows, moves, strict=True):
-        name, rough = in_words(parameter, of_trial=False), row["derivative_doubt"]
+        name, rough = in_words(parameter, of_trial=False), row.derivative_doubt
         # What is not identifiable has a verdict that says more.
-        if not row["derivative_trusted"] and not row["verdict"].startswith("not_"):
+        if not (row.derivative_trusted or row.lost):
             sentence = (
                 f"{name}: its derivative changes by {100 * rough:.0f} % when the step is halved (the cost is "
                 "rough there, or hardly depends on it): read its profile, not its linearized sigma"
@@ -124,72 +163,47 @@ def _doubts(
                 "least; the search has not converged, or its simulations are too inexact (fit.tolerance)"
             )
             yield about(parameter, "not-converged", sentence, float(jump))
-            _doubt(row, "the best set is not where the sum of squares is least")
+            doubts[row.name].append("the best set is not where the sum of squares is least")
     if assessed.profiles.lowered > 1.0:
         sentence = "a profile found a better set than the profiles' start: the fit has not converged"
         yield Finding("profile-lowered", sentence)
 
 
-def _document(
-    opened: OpenedFit, assessed: Assessment, trials: Influence, floors: FloatArray, rows: list[dict[str, Any]]
-) -> tuple[dict[str, Any], Arrays]:
-    result, space, linear = opened.result, opened.space, assessed.linear
-    boot = assessed.resampled
-    without = space.decode(trials.without)
+def _arrays(space: SearchSpace, assessed: Assessment) -> Arrays:
+    information = assessed.linear.information
     arrays: dict[str, tuple[FloatArray, str, str]] = {
-        "correlation": (linear.information.correlation, "parameter, parameter", "1"),
-        "covariance": (linear.information.covariance, "parameter, parameter", "1, unit cube"),
+        "correlation": (information.correlation, "parameter, parameter", "1"),
+        "covariance": (information.covariance, "parameter, parameter", "1, unit cube"),
     }
     for profile in assessed.profiles.profiles:
         root = f"profiles/{profile.name}"
         arrays[f"{root}/value"] = (profile.values, "point", profile.unit)
         arrays[f"{root}/deviance"] = (profile.deviance, "point", "1")
         arrays[f"{root}/others"] = (profile.others, "point, free parameter", "SI")
-    if boot is not None:
-        arrays["bootstrap/values"] = (space.decode(boot.points), "resample, free parameter", "SI")
-    document = {
-        "adequacy": assessed.adequacy,
-        "campaign": opened.stated,
-        "parameters": rows,
-        "correlation": linear.information.correlation,
-        "noise": {"statement": _statement(opened), "channels": _channels(opened, assessed, floors)},
-        "trials": [
-            {
-                "name": name,
-                "ratio": float(trials.ratio[t]),
-                "without": dict(zip(space.names, without[t].tolist(), strict=True)),
-                "shift": dict(zip(space.names, trials.shift[t].tolist(), strict=True)),
-            }
-            for t, name in enumerate(opened.problem.names)
-        ],
-        "notes": _notes(opened, boot),
-        "spread": _spread(result),
-        "bootstrap": None
-        if boot is None
-        else {"resamples": len(boot.points), "failed": int(np.count_nonzero(~boot.converged))},
-        "evaluations": assessed.profiles.evaluations
-        + (0 if boot is None else boot.evaluations)
-        + trials.evaluations,
-    }
-    return document, arrays
+    if assessed.resampled is not None:
+        points = space.decode(assessed.resampled.points)
+        arrays["bootstrap/values"] = (points, "resample, free parameter", "SI")
+    return arrays
 
 
-def _doubt(row: dict[str, Any], why: str) -> None:
-    """Note why a row's interval may miss the truth; such a parameter is not called well known."""
-    row["doubt"] = f"{row['doubt']}; {why}" if row["doubt"] else why
-    if row["verdict"] == "well":
-        row["verdict"] = "weakly"
+def _with_doubts(row: FreeParameter, doubts: list[str]) -> FreeParameter:
+    """Return a row with what speaks against its interval; such a parameter is not called well known."""
+    if not doubts:
+        return row
+    verdict = "weakly" if row.verdict == "well" else row.verdict
+    return row.model_copy(update={"doubt": "; ".join(doubts), "verdict": verdict})
 
 
 def _notice_trials(
     names: tuple[str, ...],
     without: FloatArray,
     trials: Influence,
-    rows: list[dict[str, Any]],
+    rows: list[FreeParameter],
+    doubts: dict[str, list[str]],
     words: Words,
-    lacks: bool = False,
+    lacks: bool,
 ) -> None:
-    """Notice trials that stand out or decide the fit, and mark the rows of the parameters they touch.
+    """Notice trials that stand out or decide the fit, which the parameters that they touch then doubt.
 
     `names` are the trials'; `without` (T, n) are the parameters of the fits without each [SI]. Of a model
     that `lacks` something the trials are the evidence: none is to be dropped before the terms were tried.
@@ -207,10 +221,10 @@ def _notice_trials(
             f"it bends every parameter{unlike}",
         )
         for row in rows:
-            _doubt(row, f"{names[t]} fits unlike the other trials")
+            doubts[row.name].append(f"{names[t]} fits unlike the other trials")
     for t, far in trials.held_by:
         moved = ", ".join(
-            f"{rows[i]['symbol']} {without[t, i]:.4g} instead of {rows[i]['refined']:.4g}" for i in far[:3]
+            f"{rows[i].symbol} {without[t, i]:.4g} instead of {rows[i].refined:.4g}" for i in far[:3]
         )
         notice(
             "hangs-on-one-trial",
@@ -218,7 +232,7 @@ def _notice_trials(
             f"what one trial less explains (standard deviations){alone}",
         )
         for i in far:
-            _doubt(rows[i], f"it goes elsewhere without {names[t]}")
+            doubts[rows[i].name].append(f"it goes elsewhere without {names[t]}")
 
 
 def _statement(opened: OpenedFit) -> str:
@@ -251,7 +265,8 @@ def _notes(opened: OpenedFit, boot: Solved | None) -> list[str]:
     return out
 
 
-def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> list[dict[str, Any]]:
+def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> list[FreeParameter]:
+    """Return what is known of every free parameter; no doubt is stated yet."""
     linear = assessed.linear
     index = {record.name: i for i, record in enumerate(result.parameters)}
     sets = result.parameter_sets()
@@ -266,38 +281,44 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
     out = []
     judged = zip(space.free, assessed.profiles.profiles, assessed.verdicts, strict=True)
     for i, (row, profile, word) in enumerate(judged):
-        record = result.parameters[index[row.name]]
+        column = index[row.name]
+        measured = result.parameters[column].measured_range
         quantiles = None
         if boot is not None and len(boot) >= 10:
             quantiles = np.quantile(boot[:, i], [0.025, 0.975]).tolist()
         out.append(
-            {key: getattr(row, key) for key in ("name", "symbol", "unit", "lower", "upper", "scale")}
-            | {
-                "value": float(best[i]),
-                "refined": float(refined[i]),
-                "mean": float(sets.mean[index[row.name]]),
-                "sigma": float(sets.sigma[index[row.name]]),
-                "fisher_sigma": float(max(up[i], down[i])),
-                "derivative_doubt": float(linear.jacobian.doubt[i]),
-                "derivative_trusted": bool(linear.jacobian.trusted[i]),
-            }
-            | {key: list(getattr(profile, key)) for key in _ENDS}
-            | {
-                "half_width": profile.half_width,
-                "verdict": word,
-                "doubt": None,
-                "expected_half_width": float(linear.half_widths[i]),
-                "partners": partners[i],
-                "at_bound": int(result.at_bound[0, index[row.name]]),
-                "measured": None if record.measured_range is None else list(record.measured_range),
-                "bootstrap_95": quantiles,
-                "rough_points": profile.rough,
-            }
+            FreeParameter(
+                name=row.name,
+                symbol=row.symbol,
+                unit=row.unit,
+                lower=row.lower,
+                upper=row.upper,
+                scale=row.scale,
+                value=float(best[i]),
+                refined=float(refined[i]),
+                mean=float(sets.mean[column]),
+                sigma=float(sets.sigma[column]),
+                fisher_sigma=float(max(up[i], down[i])),
+                derivative_doubt=float(linear.jacobian.doubt[i]),
+                derivative_trusted=bool(linear.jacobian.trusted[i]),
+                interval_68=list(profile.interval_68),
+                interval_95=list(profile.interval_95),
+                open_68=list(profile.open_68),
+                open_95=list(profile.open_95),
+                half_width=profile.half_width,
+                verdict=word,
+                expected_half_width=float(linear.half_widths[i]),
+                partners=partners[i],
+                at_bound=int(result.at_bound[0, column]),
+                measured=None if measured is None else list(measured),
+                bootstrap_95=quantiles,
+                rough_points=profile.rough,
+            )
         )
     return out
 
 
-def _channels(opened: OpenedFit, assessed: Assessment, floors: FloatArray) -> list[dict[str, Any]]:
+def _channels(opened: OpenedFit, assessed: Assessment, floors: FloatArray) -> list[ChannelNoise]:
     """Return, per channel over all trials, rms residual, noise floor and independent samples."""
     result, linear = opened.result, assessed.linear
     out = []
@@ -307,23 +328,27 @@ def _channels(opened: OpenedFit, assessed: Assessment, floors: FloatArray) -> li
         if not levels:
             continue
         count = sum(block.count for block, *_ in levels)
-        residual = np.sqrt(
-            sum(block.count * (level * block.spread) ** 2 for block, level, _ in levels) / count
+        residual = sum(block.count * (level * block.spread) ** 2 for block, level, _ in levels) / count
+        floor = sum(block.count * (least * block.spread) ** 2 for block, _, least in levels) / count
+        out.append(
+            ChannelNoise(
+                name=name,
+                unit=result.channel_units[c],
+                residual=float(np.sqrt(residual)),
+                floor=float(np.sqrt(floor)),
+                samples=count,
+                independent_samples=float(count / linear.noise.inflation[linear.noise.channels.index(c)]),
+            )
         )
-        floor = np.sqrt(sum(block.count * (least * block.spread) ** 2 for block, _, least in levels) / count)
-        independent = float(count / linear.noise.inflation[linear.noise.channels.index(c)])
-        out.append({
-            "name": name, "unit": result.channel_units[c], "residual": float(residual), "floor": float(floor),
-            "samples": count, "independent_samples": independent,
-        })  # fmt: skip
     return out
 
 
-def _spread(result: FitResult) -> dict[str, Any]:
+def _spread(result: FitResult) -> Spread:
     """Return how far the predictions of the sets lie apart, per trial and channel [channel units]."""
     trials = []
     for trial in result.trials:
         apart = trial.simulated - trial.simulated.mean(axis=0)
         rms, largest = np.sqrt(np.mean(apart**2, axis=(0, 1))), np.max(np.abs(apart), axis=(0, 1))
-        trials.append({"name": trial.name, "use": trial.use, "rms": rms, "largest": largest})
-    return {"channels": list(result.channels), "units": list(result.channel_units), "trials": trials}
+        of_trial = SpreadOfTrial(name=trial.name, use=trial.use, rms=rms.tolist(), largest=largest.tolist())
+        trials.append(of_trial)
+    return Spread(channels=list(result.channels), units=list(result.channel_units), trials=trials)

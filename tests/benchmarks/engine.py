@@ -24,7 +24,7 @@ import numpy as np
 
 import campaigns
 from paired import write_json
-from sysid.fit.problem import scored_by
+from sysid.fit.problem import computed_by
 from sysid.fit.search import run_many, run_one
 from sysid.fit.settings import SearchSettings
 from sysid.parallel import DaskCluster, LocalThreads
@@ -99,7 +99,7 @@ def workers(arguments, folder):
             options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": None}
             with distributed.LocalCluster(**options) as pool:
                 where = DaskCluster(pool.scheduler_address, at_once=5)
-                spread = scored_by(objective, where)
+                spread = computed_by(objective, where)
                 spread.evaluate(np.random.default_rng(0).random((64, len(objective.space.free))))  # compiles
                 began, clock = time.perf_counter(), _processor_time(where)
                 run_many(spread, settings, at_once=5)
@@ -112,7 +112,7 @@ def workers(arguments, folder):
             objective = problem(arguments.problem, Path(tempfile.mkdtemp(dir=folder)), threads=count)
             _pin(sorted(everywhere)[:count])
             with LocalThreads() as local:
-                spread = scored_by(objective, local)
+                spread = computed_by(objective, local)
                 began = time.perf_counter()
                 run_many(spread, settings, at_once=local.at_once)
                 spent["threads"][count].append(time.perf_counter() - began)

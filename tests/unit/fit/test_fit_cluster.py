@@ -18,7 +18,7 @@ from sysid import parallel
 from sysid.campaign import read_campaign
 from sysid.errors import SysidError
 from sysid.fit.checkpoint import Checkpoint
-from sysid.fit.problem import scored_by
+from sysid.fit.problem import computed_by
 from sysid.fit.search import Hooks, run_many
 from sysid.fit.settings import SearchSettings
 from sysid.gear.drops import prepare_drops
@@ -98,7 +98,7 @@ def test_local_gives_the_objectives_numbers(gear):
     points = np.random.default_rng(3).random((9, len(gear.space.free)))
     with executor(None) as where:
         assert isinstance(where, LocalThreads)
-        spread = scored_by(gear, where)
+        spread = computed_by(gear, where)
         assert spread.space is gear.space
         a, b = spread.evaluate(points), gear.evaluate(points)
     np.testing.assert_array_equal(a.cost, b.cost)
@@ -181,7 +181,7 @@ def test_three_workers_give_the_local_numbers_and_one_may_be_killed(tmp_path, ge
     short = replace(SETTINGS, max_generations=5)
     local = run_many(gear, short)
     with cluster(tmp_path, 3) as (where, processes):
-        spread = scored_by(gear, where)
+        spread = computed_by(gear, where)
         for a, b in zip(run_many(spread, short, at_once=3), local, strict=True):
             assert_same_run(a, b)
         victims, begun = [processes[1]], where.alive
@@ -202,7 +202,7 @@ def test_three_workers_give_the_local_numbers_and_one_may_be_killed(tmp_path, ge
 def test_least_squares_on_a_cluster_gives_the_same_numbers(tmp_path):
     settings = SearchSettings(40, 2, 5)
     with cluster(tmp_path, 2) as (where, _):
-        found = run_many(scored_by(Decay(), where), settings, at_once=2)
+        found = run_many(computed_by(Decay(), where), settings, at_once=2)
     for a, b in zip(found, run_many(Decay(), settings), strict=True):
         assert [stage.algorithm for stage in a.stages] == ["ga", "least-squares", "cmaes"]
         assert_same_run(a, b)
@@ -214,7 +214,7 @@ def test_a_lost_scheduler_leaves_a_checkpoint_to_continue_from(tmp_path):
     hold = Checkpoint(tmp_path / "fit", identity)
 
     with cluster(tmp_path, 2) as (where, processes):
-        spread = scored_by(Slow(), where)
+        spread = computed_by(Slow(), where)
 
         def kill(run, generation):
             if run == 0 and (generation.algorithm, generation.number) == ("cmaes", 2):

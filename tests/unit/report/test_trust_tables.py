@@ -20,6 +20,7 @@ from sysid.trust.documents import (
     ChannelNoise,
     CheckDocument,
     ExpectedParameter,
+    FreeParameter,
     Noise,
     Partner,
     TrustDocument,
@@ -69,10 +70,10 @@ def test_what_is_free_or_has_a_range_is_not_taken_as_exact():
 @pytest.mark.parametrize("kind", ["gear", "motor"])
 def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
     words = find_kind(kind).words
-    rows = [{"symbol": "p", "refined": 0.5, "doubt": None, "verdict": "well"}]
+    rows = [FreeParameter.model_construct(name="p", symbol="p", refined=0.5)]
     odd = Influence(np.array([1.0, 1.0, 4.0]), np.full((3, 1), 0.3), np.array([[0.0], [0.0], [9.0]]))
     with Journal() as journal:
-        _notice_trials(("a", "b", "c"), odd.without, odd, rows, words)
+        _notice_trials(("a", "b", "c"), odd.without, odd, rows, {"p": []}, words, lacks=False)
         judged = [SimpleNamespace(name=n, ratio=r) for n, r in zip("abc", odd.ratio, strict=True)]
         _notice_unlike(judged, words)
     sentences = journal.sentences()
