@@ -30,29 +30,14 @@ if TYPE_CHECKING:
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Flags = Annotated[list[bool], Field(min_length=2, max_length=2)]
-# How a number got its value: the search found it between its bounds; it was measured outside the fit; it is a
-# default, a rating or a guess, see its source; it follows from the other values of the set; nothing that was
-# recorded determines it, so it is NaN.
+# Origin of a number, in this order: the search between its bounds; a measurement outside the fit; a default,
+# rating or guess, see its source; other values of the set; nothing that was recorded, so that it is NaN.
 Status = Literal["free", "measured", "fixed", "derived", "unknown"]
 
 
 @dataclass(frozen=True)
 class ParameterRecord:
-    """What is known about one number of every set.
-
-    Parameters
-    ----------
-    status : Status
-        How it got its value.
-    nominal, lower, upper : float or None
-        Default and the bounds that the search used [unit]; None where the model declares none.
-    measured_range : (float, float) or None
-        What an independent measurement of a free number found [unit] (Table II, "measured").
-    stated_sigma : float or None
-        Standard deviation stated by the source [unit], where the sets themselves do not carry it.
-
-    The other fields are as in `sysid.parameters.Parameter`.
-    """
+    """What is known about one number of every set; other fields as in `sysid.parameters.Parameter`."""
 
     name: str
     symbol: str
@@ -60,11 +45,14 @@ class ParameterRecord:
     status: Status
     meaning: str
     source: str
+    # Default and the bounds that the search used [unit]; None where the model declares none.
     nominal: float | None = None
     lower: float | None = None
     upper: float | None = None
     scale: Literal["linear", "log"] | None = None
+    # Range of an independent measurement of a free number [unit] (Table II, "measured").
     measured_range: tuple[float, float] | None = None
+    # Standard deviation stated by the source [unit], where the sets themselves do not carry it.
     stated_sigma: float | None = None
     group: str = ""
     trial: str = ""
@@ -149,27 +137,19 @@ class Judged(Part):
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of one parameter of ranked sets: a row of every table of parameters [its unit].
-
-    Parameters
-    ----------
-    found : bool
-        The search found it, by itself or as a combination of others.
-    values, at_bound : (S,) arrays
-        As in `SetsContent`.
-    judged : Judged or None
-        Interval and verdict, where the fit was assessed.
-    instead : str or None
-        What a table prints in place of digits that the data do not determine.
-    """
+    """What is known of one parameter of ranked sets: a row of every table of parameters [its unit]."""
 
     record: ParameterRecord
+    # The search found it, by itself or as a combination of others.
     found: bool
+    # (S,) each, as in `SetsContent`.
     values: FloatArray
     at_bound: NDArray[np.int8]
     mean: float
     sigma: float
+    # Interval and verdict, where the fit was assessed.
     judged: Judged | None
+    # Words in place of digits that the data do not determine.
     instead: str | None
 
     def text(self, s: int = 0, digits: int = 4) -> str:
@@ -310,38 +290,26 @@ def parameter_records(
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class SetsContent:
-    """Ranked sets of one model, best first: what a fit and the sets exported from it share.
+    """Ranked sets of one model, best first: what a fit and the sets exported from it share."""
 
-    Parameters
-    ----------
-    kind, name : str
-        The model, such as ``motor``; name of the fit.
-    parameters : tuple of ParameterRecord
-        The columns of `values`: every row of the model's table, then the derived numbers.
-    values : (S, n) array
-        Every number of every set [its unit].
-    nrmse : (S,) array
-        Mean over channels and fitted trials [1]; NaN where unknown.
-    at_bound : (S, n) int8 array
-        -1 within 1 % of the lower bound, +1 of the upper, else 0.
-    channels, channel_units, channel_weights : tuple
-        Compared channels, their SI units, and the weight of each in a trial's mean [1].
-    settings : mapping
-        What a simulator must also know: laws, command mapping, filter design, conventions. JSON-able.
-    provenance : mapping
-        Hashes of the logs, versions, seeds, search settings, NRMSE denominator. JSON-able.
-    """
-
+    # The model, such as ``motor``, and the name of the fit.
     kind: str
     name: str
+    # Columns of `values`: every row of the model's table, then the derived numbers.
     parameters: tuple[ParameterRecord, ...]
+    # (S, n) every number of every set [its unit].
     values: FloatArray
+    # (S,) mean over channels and fitted trials [1]; NaN where unknown.
     nrmse: FloatArray
+    # (S, n) -1 within 1 % of the lower bound, +1 of the upper, else 0.
     at_bound: NDArray[np.int8]
+    # Compared channels, their SI units, and the weight of each in a trial's mean [1].
     channels: tuple[str, ...]
     channel_units: tuple[str, ...]
     channel_weights: tuple[float, ...]
+    # Laws, command mapping, filter design, conventions: all that a simulator must know too; JSON-able.
     settings: Mapping[str, Any]
+    # Hashes of the logs, versions, seeds, search settings, NRMSE denominator; JSON-able.
     provenance: Mapping[str, Any]
     warnings: tuple[str, ...] = ()
 
@@ -464,22 +432,15 @@ class RankedSet(dict[str, float]):
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ParameterSets(SetsContent, Shown):
-    """Parameter sets of one model, best first, without the search behind them.
+    """Parameter sets of one model, best first, without the search behind them."""
 
-    Parameters
-    ----------
-    runs, seeds : tuple of int
-        The search run (from 1) that found the set and its seed; 0 where there was none.
-    trials, uses : tuple of str
-        Names of the trials, and ``"fit"`` or ``"validate"`` of each.
-    nrmse_by_trial : (S, T, C) array
-        NRMSE per set, trial and channel [1].
-    """
-
+    # Number (from 1) and seed of the search run that found each set; 0 where there was none.
     runs: tuple[int, ...]
     seeds: tuple[int, ...]
+    # Names of the trials, and ``"fit"`` or ``"validate"`` of each.
     trials: tuple[str, ...]
     uses: tuple[str, ...]
+    # (S, T, C) NRMSE per set, trial and channel [1].
     nrmse_by_trial: FloatArray
 
     def __post_init__(self) -> None:

@@ -31,27 +31,18 @@ NOT_JUDGED = Cell("not judged", "doubtful")
 
 @dataclass(frozen=True, eq=False)
 class Reopened:
-    """What a report learns from the campaign of its fit, where that still lies where it was.
+    """What a report learns from the campaign of its fit, where that still lies where it was."""
 
-    Parameters
-    ----------
-    band : mapping
-        (low, high), each (n, C) [channel units], by trial: the least and largest prediction of the parameter
-        sets at the ends of the 95 % intervals.
-    noise : mapping
-        (C,) noise of the measurement as compared [channel units], by trial.
-    held_out : mapping
-        Residual over noise [1] of the trials that the fit held back, as `sysid validate` judges them.
-    truth : mapping
-        True values by parameter [SI], of a synthesized campaign.
-    evidence : mapping
-        Points behind what the fit takes as known, see `sysid.fit.story.Story.evidence`.
-    """
-
+    # Least and largest prediction (n, C) [channel units] of the parameter sets at the ends of the 95 %
+    # intervals, by trial.
     band: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    # Noise (C,) of the measurement as compared [channel units], by trial.
     noise: Mapping[str, FloatArray] = field(default_factory=dict)
+    # Residual over noise [1] of the trials that the fit held back, as `sysid validate` judges them.
     held_out: Mapping[str, float] = field(default_factory=dict)
+    # True values by parameter [SI], of a synthesized campaign.
     truth: Mapping[str, float] = field(default_factory=dict)
+    # Points behind what the fit takes as known, see `sysid.fit.story.Story.evidence`.
     evidence: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
 

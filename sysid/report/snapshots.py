@@ -14,6 +14,7 @@ from matplotlib.patches import Polygon
 from sysid.errors import ExportError
 from sysid.report.drawing import WIDTH, arrow, directions, draw_legend, draw_line, panels
 from sysid.report.drop_replay import Drone, DropReplay, drone_of, placed
+from sysid.storage import check_file
 from sysid.types import FloatArray
 
 NORMAL, FRICTION = "#0072B2", "#D55E00"
@@ -115,10 +116,7 @@ def check_film(path: Path, force: bool) -> None:
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
         raise ExportError(f"{path}: unknown film format {suffix!r}; expected .gif or .mp4")
-    if path.exists() and not force:
-        raise ExportError(f"{path}: exists already; choose a new name or add --force")
-    if not path.parent.is_dir():
-        raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
+    check_file(path, force=force, error_type=ExportError)
     if suffix == ".mp4" and shutil.which("ffmpeg") is None:
         raise ExportError(f"{path}: ffmpeg was not found, and MP4 needs it; install ffmpeg, or write a .gif")
 

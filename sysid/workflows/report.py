@@ -203,10 +203,8 @@ def _check_targets(options: ReportOptions, out: Path) -> None:
     for path in options.films:
         if targets.count(path.resolve()) > 1:
             raise ExportError(f"{path}: is named for two files of one report; give each another name")
-    if options.out is not None and out.exists() and not options.force:
-        raise ExportError(f"{out}: exists already; choose a new name or add --force")
-    if not out.parent.is_dir():
-        raise ExportError(f"{out}: the folder {out.parent} does not exist; make it first")
+    # A report in the folder of its fit takes the place of an older one.
+    check_file(out, force=options.force or options.out is None, error_type=ExportError)
     figures = options.figure
     if figures is not None:
         if figures.exists() and not figures.is_dir():

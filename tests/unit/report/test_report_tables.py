@@ -1,7 +1,9 @@
-"""Tables: what a person reads is what the sets hold."""
+"""Tables: what a person reads is what the sets hold, and no digit is lost on a narrow terminal."""
 
+import io
 import math
 import re
+from operator import itemgetter
 
 import numpy as np
 import pytest
@@ -11,14 +13,13 @@ from fakes.sets import made_sets
 from sysid.documents import rounded
 from sysid.report.fold import print_table
 from sysid.report.set_tables import mean_sigma_table, mean_table, ranked_table, trial_table
-from sysid.report.table import mean_sigma
+from sysid.report.table import mean_sigma, numbers, table, words
 
 
 def lines_of(table, width=110):
-    console = Console(width=width)
-    with console.capture() as capture:
-        print_table(table, console)
-    return capture.get().splitlines()
+    console = Console(file=io.StringIO(), width=width)
+    print_table(table, console)
+    return console.file.getvalue().splitlines()
 
 
 def line_with(lines, word):
@@ -36,15 +37,6 @@ def test_report_ranked_table_shows_sets_in_order_with_units_and_bounds():
     assert line_with(lines, "k_h [N/m]")[1:] == ["6400", "6500", "2000*"]
     assert any("within 1 %" in line for line in lines)
     assert not any("m_B" in line for line in lines)
-
-
-def test_report_ranked_table_fits_a_narrow_terminal():
-    five = made_sets(
-        values=np.repeat(made_sets().values, 2, axis=0)[:5], nrmse=np.full(5, 0.1), runs=(1, 2, 3, 4, 5),
-        seeds=(1, 2, 3, 4, 5), at_bound=np.zeros((5, 4)), nrmse_by_trial=np.zeros((5, 2, 2)),
-    )  # fmt: skip
-    lines = lines_of(ranked_table(five), width=80)
-    assert line_with(lines, "k_h [N/m]")[1:] == ["6400", "6400", "6500", "6500", "2000"]
 
 
 def test_report_mean_sigma_table_has_the_layout_of_table_two():
@@ -126,3 +118,49 @@ def test_large_numbers_without_exponent():
     assert [rounded(v) for v in (113_340.0, 1.2e4, 2e4, 0.04, 9e-9, 3e8)] == [
         "113300", "12000", "20000", "0.04", "9e-09", "3e+08",
     ]  # fmt: skip
+
+
+NUMBERS = [["1.234567e-05", "0.0123 ± 0.0004", "98765.4321"], ["-7.1", "12.5 %", "1.0"]]
+
+
+def made(columns=5):
+    remark = "at a bound of the search, as it seems"
+    rows = [
+        (f"leg stiffness {k}", *(row[i % 3] for i in range(columns)), remark) for k, row in enumerate(NUMBERS)
+    ]
+    middle = [numbers(f"set {k}", itemgetter(k)) for k in range(1, columns + 1)]
+    heads = words("parameter of the model", itemgetter(0)), words("remark", itemgetter(-1))
+    return table("a title of some words", rows, (heads[0], *middle, heads[1]), rules=(1,))
+
+
+@pytest.mark.parametrize("width", [40, 50, 60, 70, 80, 90, 120])
+def test_columns_that_belong_together_stay_beside_each_other(width):
+    pairs = [
+        numbers(f"{what} {k}", itemgetter(1), joined=what == "noise")
+        for k in "ab"
+        for what in ("nrmse", "noise")
+    ]
+    lines = lines_of(table("", [("drop-1", "12.345")], (words("trial", itemgetter(0)), *pairs)), width)
+    heads = [line for line in lines if "nrmse" in line]
+    assert sum(line.count("noise") for line in heads) == 2
+    for line in heads:
+        assert line.count("nrmse") == line.count("noise")
+
+
+@pytest.mark.parametrize("width", [8, 20, 33, 47, 60, 79, 80, 120, 200])
+def test_every_number_is_whole_at_every_width(width):
+    columns = 5
+    text = "\n".join(lines_of(made(columns), width))
+    assert "…" not in text
+    for k in range(columns):
+        for row in NUMBERS:
+            assert text.count(row[k % 3]) == sum(row[j % 3] == row[k % 3] for j in range(columns))
+        assert text.count(f"set {k + 1}") == 1
+    longest = max(len(line.rstrip()) for line in text.splitlines())
+    # The widest number, the words of the first column and the rules between them.
+    assert longest <= max(width, 40)
+
+
+def test_a_table_that_fits_is_printed_in_one_piece():
+    assert "".join(lines_of(made(2), 200)).count("parameter of") == 1
+    assert "".join(lines_of(made(2), 45)).count("parameter of") > 1
