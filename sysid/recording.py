@@ -165,18 +165,16 @@ class Recording(Shown):
         """Return what the loader noticed and did."""
         return self.provenance.notes
 
-    def _with(self, quantity: str) -> list[str]:
-        return [name.removesuffix(quantity) for name in self.channels if name.endswith(quantity)]
-
     @property
     def rigid_bodies(self) -> tuple[str, ...]:
         """Names that have an orientation, in file order."""
-        return tuple(self._with("/orientation"))
+        return tuple(n.removesuffix("/orientation") for n in self.channels if n.endswith("/orientation"))
 
     @property
     def markers(self) -> tuple[str, ...]:
         """Names that have a position and no orientation, in file order."""
-        return tuple(n for n in self._with("/position") if f"{n}/orientation" not in self.channels)
+        placed = (n.removesuffix("/position") for n in self.channels if n.endswith("/position"))
+        return tuple(n for n in placed if f"{n}/orientation" not in self.channels)
 
     def __getitem__(self, name: str) -> Channel:
         """Return a channel by name; LogError where the file has none of that name."""

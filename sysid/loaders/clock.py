@@ -31,14 +31,11 @@ def known_rate(rate: object) -> float:
 
 def declared_rate(path: str, rate: object) -> float | None:
     """Return a declared sample rate [Hz], if any; LogError when it is not a positive, finite number."""
-    if rate is None:
-        return None
-    try:
-        return known_rate(rate)
-    except ValueError:
+    if rate is not None and not is_positive(rate):
         raise LogError(
             f"{path}: rate = {rate!r} is no sample rate; expected samples per second, e.g. rate = 10000"
-        ) from None
+        )
+    return None if rate is None else known_rate(rate)
 
 
 def order_rows(

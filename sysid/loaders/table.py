@@ -74,11 +74,13 @@ def find_header(lines: Sequence[str]) -> tuple[int, str, list[str]] | None:
     for index, line in enumerate(lines[:HEADER_SEARCH]):
         if index < begin or not line.strip():
             continue
-        names = _header_cells(line, delimiter := sniff_delimiter(line))
-        if line.lstrip().startswith("#"):
+        marked, delimiter = line.lstrip().startswith("#"), sniff_delimiter(line)
+        names = split_line(line, delimiter)
+        if delimiter == SPACES:  # a unit in brackets belongs to the name before it
+            text = line.lstrip().lstrip("#") if marked else line
+            names = [" ".join(name.split()) for name in re.split(r"\s+(?![(\[])", text.strip())]
+        if marked:
             below = next((text for text in lines[index + 1 :] if text.strip()), "")
-            if delimiter == SPACES:
-                names = _header_cells(line.lstrip().lstrip("#"), delimiter)
             cells = split_line(below, delimiter)
             if len(names) < 2 or len(cells) != len(names) or not all_numeric(cells):
                 continue
@@ -104,13 +106,6 @@ def _behind_titles(lines: Sequence[str]) -> int:
         first = cells[0] if delimiter == "," else cells[0].replace(",", ".", 1)
         return index if named and len(cells) == len(names) and all_numeric([first]) else 0
     return 0
-
-
-def _header_cells(line: str, delimiter: str) -> list[str]:
-    """Return the names in a header line; between spaces a unit in brackets belongs to the name before it."""
-    if delimiter != SPACES:
-        return split_line(line, delimiter)
-    return [" ".join(name.split()) for name in re.split(r"\s+(?![(\[])", line.strip())]
 
 
 @dataclass

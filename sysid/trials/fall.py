@@ -198,9 +198,9 @@ def _fit(
     height_held = coordinates[:, 1] + 0.5 * gravity * elapsed**2
     origin[1] = np.mean(height_held)
     noise[1] = np.sqrt(np.mean((height_held - origin[1]) ** 2))
+    design = np.column_stack([np.ones_like(elapsed), elapsed])
     for column in (0, 2):
         values = coordinates[:, column]
-        design = np.column_stack([np.ones_like(elapsed), elapsed])
         solution, *_ = np.linalg.lstsq(design, values, rcond=None)
         noise[column] = np.std(values - design @ solution)
         sigma = noise[column] * np.sqrt(np.linalg.inv(design.T @ design)[1, 1])

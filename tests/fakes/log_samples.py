@@ -4,6 +4,7 @@ A log is bytes; a damage takes a `Log` and a random generator and returns bytes.
 """
 
 from collections.abc import Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -283,29 +284,33 @@ def doubled_delimiter(log, random):
     return data[:at] + mark + data[at:]
 
 
+@contextmanager
+def _cells(log, lines, at):
+    """Let the caller change the list of cells of a line."""
+    end = "\r" if lines[at].endswith("\r") else ""
+    cells = lines[at].removesuffix("\r").split(log.delimiter)
+    yield cells
+    lines[at] = log.delimiter.join(cells) + end
+
+
 def ragged_rows(log, random):
     """Some rows lose cells at their end, or have some more."""
     lines = _text(log).split("\n")
     for _ in range(_number(random, 1, 6)):
-        at = _number(random, log.first, len(lines))
-        end = "\r" if lines[at].endswith("\r") else ""
-        cells = lines[at].removesuffix("\r").split(log.delimiter)
-        if random.random() < 0.6:
-            cells = cells[: _number(random, 0, len(cells))]
-        else:
-            cells += [["", "7", "x", " "][_number(random, 0, 4)]] * _number(random, 1, 4)
-        lines[at] = log.delimiter.join(cells) + end
+        with _cells(log, lines, _number(random, log.first, len(lines))) as cells:
+            if random.random() < 0.6:
+                del cells[_number(random, 0, len(cells)) :]
+            else:
+                cells += [["", "7", "x", " "][_number(random, 0, 4)]] * _number(random, 1, 4)
     return "\n".join(lines).encode("utf-8")
 
 
 def swapped_names(log, random):
     """Two names of columns change places: then each number is what its own column's name now says."""
     lines = _text(log).split("\n")
-    at = log.names if log.names is not None else log.first
-    cells = lines[at].removesuffix("\r").split(log.delimiter)
-    a, b = _number(random, 0, len(cells)), _number(random, 0, len(cells))
-    cells[a], cells[b] = cells[b], cells[a]
-    lines[at] = log.delimiter.join(cells) + ("\r" if lines[at].endswith("\r") else "")
+    with _cells(log, lines, log.names if log.names is not None else log.first) as cells:
+        a, b = _number(random, 0, len(cells)), _number(random, 0, len(cells))
+        cells[a], cells[b] = cells[b], cells[a]
     return "\n".join(lines).encode("utf-8")
 
 
@@ -324,12 +329,10 @@ def other_unit(log, random):
 def other_number(log, random):
     """One cell of a row becomes blank, a word, an infinite or a huge number, or one of its digits another."""
     lines = _text(log).split("\n")
-    at = _number(random, log.first, len(lines) - 1)
-    end = "\r" if lines[at].endswith("\r") else ""
-    cells = lines[at].removesuffix("\r").split(log.delimiter)
     new = ["", " ", "nan", "inf", "-Infinity", "1e400", "1e308", "0x10", "1_000", "--5", "N/A", "1.5.2", "٣"]
-    cells[_number(random, 0, len(cells))] = new[_number(random, 0, len(new))]
-    lines[at] = log.delimiter.join(cells) + end
+    with _cells(log, lines, _number(random, log.first, len(lines) - 1)) as cells:
+        value = new[_number(random, 0, len(new))]
+        cells[_number(random, 0, len(cells))] = value
     return "\n".join(lines).encode("utf-8")
 
 
