@@ -28,9 +28,9 @@ Options = TypeVar("Options", LandingMapOptions, ImpulseMapOptions, DesignStudyOp
 )
 def simulate(options: SimulateOptions) -> None:
     """Land once per set: history, events, outcome."""
-    from sysid.workflows.landing import print_landings, simulate_landings
+    from sysid.workflows.landing import simulate_landings
 
-    print_landings(*simulate_landings(options), options.json)
+    simulate_landings(options)
 
 
 @command(app, "landing-map", "sysid landing-map fits/demo/gear-lf --motor fits/demo/motor --out map.h5")

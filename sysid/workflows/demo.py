@@ -27,29 +27,25 @@ _CAMPAIGNS = {
 }
 
 
-def find_samples(given: Path | None) -> Path:
-    """Return the data_samples folder: given, in the working directory, or next to the installed sources.
-
-    Raises `SysidError` when it is not there.
-    """
-    beside = Path(sysid.__file__).resolve().parents[1] / "data_samples"
-    candidates = [given] if given is not None else [Path("data_samples"), beside]
-    for folder in candidates:
-        if all((folder / name / "campaign.toml").is_file() for name in _CAMPAIGNS):
-            return folder
-    raise SysidError(
-        f"no sample data at {' or '.join(map(str, candidates))}; run the demo from the project's folder, or "
-        "name the samples with --data"
-    )
-
-
 def run_demo(data: Path | None, out: Path, quiet: bool = False, say: Say = None, json: bool = False) -> None:
     """Fit the samples in `data`, write exports, figures and reports, and compare with the truth.
+
+    Without `data` they lie in the working directory or next to the installed sources; `SysidError` where they
+    do not.
 
     The fit folders go to `out`, where an earlier demo is replaced. As JSON it prints a row per written file:
     the kind of the fit, what the file is, its path, and the NRMSE of the sets [1].
     """
-    samples, started = find_samples(data), time.perf_counter()
+    started = time.perf_counter()
+    beside = Path(sysid.__file__).resolve().parents[1] / "data_samples"
+    candidates = [data] if data is not None else [Path("data_samples"), beside]
+    found = [d for d in candidates if all((d / name / "campaign.toml").is_file() for name in _CAMPAIGNS)]
+    if not found:
+        raise SysidError(
+            f"no sample data at {' or '.join(map(str, candidates))}; run the demo from the project's folder, "
+            "or name the samples with --data"
+        )
+    samples = found[0]
     tell = say or (lambda sentence: None)
     written: list[dict[str, object]] = []
     reports: list[Path] = []

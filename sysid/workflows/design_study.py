@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 
@@ -66,12 +65,8 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
     identity = map_identity(fleets, [controller], *grids)
     blocks = (len(grids) * len(points) * len(fleet), "landings")
     study = compute_and_write(options.out, identity, blocks, compute, write, options=how)
-    if study is not None:
-        _print(study, options, picture)
-    return study
-
-
-def _print(study: DesignStudy, options: DesignStudyOptions, picture: Path) -> None:
+    if study is None:
+        return None
     lost = int(study.lost.sum())
     if lost:
         notice(
@@ -79,12 +74,13 @@ def _print(study: DesignStudy, options: DesignStudyOptions, picture: Path) -> No
             f"{lost} landings of {np.count_nonzero(study.lost)} of {len(study.points)} designs "
             "could not be simulated and count nowhere; a slope on which none could counts as not safe",
         )
-    if options.compute.json:
+    if how.json:
         print_result({
             "name": study.name, "controller": study.controller, "speeds": list(study.settings.speeds),
             "steepest_deg": study.steepest[0].tolist(), "at_edge": study.at_edge[0].tolist(),
             "changes": study.gains(), "lost": lost, "file": str(options.out),
         }, json=True)  # fmt: skip
-    elif not options.compute.quiet:
+    elif not how.quiet:
         print_table(gains_table(study))
         print(f"wrote {options.out} and {picture}")
+    return study

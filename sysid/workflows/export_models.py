@@ -61,18 +61,17 @@ def export_sets(
         alone = rank is not None or len(sets) == 1
         file = target if alone else target.with_name(f"{target.stem}-{i}{target.suffix}")
         check_file(file, force=force, error_type=ExportError)
-        documents[file] = _motor(sets, i) if suffix == ".sdf" else _gear(sets, i, slope, per_leg)
+        if suffix == ".sdf":
+            documents[file] = _motor(sets, i)
+            continue
+        sticks = find_surface(str(sets.settings.get("surface", "lf"))).switching
+        documents[file] = to_mjcf(
+            sets.set_values(i), name=f"{sets.name} set {i}", sticks=sticks, slope=slope, per_leg=per_leg,
+            notes=_certainty(sets),
+        )  # fmt: skip
     for file, document in documents.items():
         write_file(file, document, ExportError)
     return list(documents)
-
-
-def _gear(sets: ParameterSets, rank: int, slope: float, per_leg: bool) -> bytes:
-    sticks = find_surface(str(sets.settings.get("surface", "lf"))).switching
-    name = f"{sets.name} set {rank}"
-    return to_mjcf(
-        sets.set_values(rank), name=name, sticks=sticks, slope=slope, per_leg=per_leg, notes=_certainty(sets)
-    )
 
 
 def _certainty(sets: ParameterSets) -> list[str]:

@@ -46,7 +46,17 @@ def list_fits(folder: str | Path) -> list[FitEntry]:
     for pattern in ("*", "*/*"):
         for path in folder.glob(f"{pattern}/fit.h5"):
             name = path.parent.relative_to(folder).as_posix()
-            entries[name] = _finished(name, path)
+            changed = path.stat().st_mtime
+            try:
+                with FIT_FILE.opened(path) as file:
+                    nrmse = float(file["sets/nrmse"][()].min())
+                    state, begun = str(file.attrs["state"]), numbered(file, "runs")
+                    ended = {numbered(run, "stages")[-1].attrs["stop_reason"] for run in begun}
+                    if state == "done" and ended & {"evaluations", "generations"}:
+                        state = "cut"
+                    entries[name] = FitEntry(name, state, nrmse, len(begun), changed)
+            except FitError:
+                entries[name] = FitEntry(name, "damaged", None, 0, changed)
     for pattern in ("*", "*/*"):
         for path in folder.glob(pattern + Checkpoint.SUFFIX):
             if Checkpoint.kept(path):
@@ -55,20 +65,6 @@ def list_fits(folder: str | Path) -> list[FitEntry]:
                 state = {True: "running", False: "stopped", None: "unfinished"}[in_use(path)]
                 entries[name] = FitEntry(name, state, lowest, runs, changed)
     return [entries[name] for name in sorted(entries)]
-
-
-def _finished(name: str, path: Path) -> FitEntry:
-    changed = path.stat().st_mtime
-    try:
-        with FIT_FILE.opened(path) as file:
-            nrmse = float(file["sets/nrmse"][()].min())
-            state, runs = str(file.attrs["state"]), numbered(file, "runs")
-            ended = {numbered(run, "stages")[-1].attrs["stop_reason"] for run in runs}
-            if state == "done" and ended & {"evaluations", "generations"}:
-                state = "cut"
-            return FitEntry(name, state, nrmse, len(runs), changed)
-    except FitError:
-        return FitEntry(name, "damaged", None, 0, changed)
 
 
 def print_fits(folder: Path, json: bool = False) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from itertools import count
 from operator import itemgetter
 from pathlib import Path
 
@@ -28,8 +27,8 @@ from sysid.workflows.options import SimulateOptions, TouchdownOptions
 LANDINGS = FileKind("sysid-landings", 1, "a file of landings", "simulate again", ExportError)
 
 
-def simulate_landings(options: SimulateOptions) -> tuple[list[Landing], list[Path]]:
-    """Simulate one landing per set and write them; return the landings and the files.
+def simulate_landings(options: SimulateOptions) -> None:
+    """Simulate one landing per set, write the landings, and print their outcomes and the files.
 
     With a height the drone descends first, with the attitude controller on.
 
@@ -49,9 +48,33 @@ def simulate_landings(options: SimulateOptions) -> tuple[list[Landing], list[Pat
     controller = controller_of(options, options.motors.ideal_reversal)
     (fleet,), origin = open_fleets(options.motors, [options.sets])
     landings = [land_drone(drone, options, controller) for drone in fleet]
-    if files:
-        _write(files, landings, list(map(outcome_row, count(1), landings)), origin)
-    return landings, files
+    rows = [
+        {
+            "set": rank,
+            "outcome": landing.outcome.name.lower(),
+            "distance": landing.distance,
+            "time_to_rest": landing.time,
+            "trigger": landing.trigger,
+        }
+        for rank, landing in enumerate(landings, start=1)
+    ]
+    if len(files) == 1:
+        write_file(files[0], LANDINGS.content(lambda file: _hdf5(file, landings, rows, origin)), ExportError)
+    elif files:
+        _write_csv(files, landings, rows)
+    document = [row | {"events": landing.event_rows} for row, landing in zip(rows, landings, strict=True)]
+    if not print_result(document, options.json):
+        first = landings[0]
+        title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
+        title += f"{first.scenario.speed:g} m/s: {first.label}"
+        cells = [[f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+        columns = [
+            TableColumn(label(name), itemgetter(k), number=name != "outcome")
+            for k, name in enumerate(rows[0])
+        ]
+        print_table(table(title, cells, columns))
+        for path in files:
+            print(f"wrote {path}")
 
 
 def controller_of(options: TouchdownOptions, ideal_reversal: bool = False) -> Controller:
@@ -74,49 +97,12 @@ def land_drone(drone: Drone, options: TouchdownOptions, controller: Controller |
     return land(drone, scenario, controller, rules=options.rules, rate=options.rate, motors=motors)
 
 
-def print_landings(landings: Sequence[Landing], files: Sequence[Path], json: bool) -> None:
-    """Print the outcome of landings and the files written."""
-    rows = list(map(outcome_row, count(1), landings))
-    document = [row | {"events": landing.event_rows} for row, landing in zip(rows, landings, strict=True)]
-    if not print_result(document, json):
-        first = landings[0]
-        title = f"{first.drone.surface.upper()}, {math.degrees(first.scenario.slope):g} deg, "
-        title += f"{first.scenario.speed:g} m/s: {first.label}"
-        cells = [[f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
-        columns = [
-            TableColumn(label(name), itemgetter(k), number=name != "outcome")
-            for k, name in enumerate(rows[0])
-        ]
-        print_table(table(title, cells, columns))
-        for path in files:
-            print(f"wrote {path}")
-
-
-def outcome_row(rank: int, landing: Landing) -> dict[str, object]:
-    """Return the outcome of a landing."""
-    return {
-        "set": rank,
-        "outcome": landing.outcome.name.lower(),
-        "distance": landing.distance,
-        "time_to_rest": landing.time,
-        "trigger": landing.trigger,
-    }
-
-
 def headed(row: Mapping[str, object]) -> dict[str, object]:
     """Return a row by the heads of its columns."""
     return {label(name): value for name, value in row.items()}
 
 
-def _write(
-    files: Sequence[Path],
-    landings: Sequence[Landing],
-    rows: Sequence[dict[str, object]],
-    sources: dict[str, object],
-) -> None:
-    if len(files) == 1:
-        write_file(files[0], LANDINGS.content(lambda file: _hdf5(file, landings, rows, sources)), ExportError)
-        return
+def _write_csv(files: Sequence[Path], landings: Sequence[Landing], rows: Sequence[dict[str, object]]) -> None:
     events, histories, outcomes = [], [], []
     for rank, (row, landing) in enumerate(zip(rows, landings, strict=True), start=1):
         events += [headed({"set": rank} | event) for event in landing.event_rows]

@@ -76,6 +76,18 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
         if report.kind == "static-map" and channel.name == "voltage" and math.isfinite(channel.highest)
     ]
     both = any(_one_way(report) for report in reports)
+    logs = []
+    for report in reports:
+        slope = report.drop.slope if report.drop else None
+        curve = "no_load" if _span(report, "thrust") < _NO_THRUST * most else "static"
+        source = Path(report.path)
+        logs.append({
+            "name": source.stem,
+            "file": Path(os.path.relpath(source, path.parent)).as_posix(),
+            "slope": f"{_TODO} deg" if slope is None else f"{math.degrees(slope):.1f} deg",
+            "direction": _one_way(report) or ("reversal" if both else "forward"),
+            "points": curve if report.kind == "static-map" else "",
+        })  # fmt: skip
     known = units == {"us"}
     numbers = _US if known else dict.fromkeys(_US, f'"{_TODO}"')
     return {
@@ -88,21 +100,7 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
         **numbers,
         # Without a log that begins at the middle, nothing says that the motor turns both ways.
         "neutral": numbers["neutral"] if both or not known else None,
-        "logs": [_entry(report, path, most, both) for report in reports] or [_BLANK],
-    }
-
-
-def _entry(report: LogReport, path: Path, most: float, both: bool) -> dict[str, str]:
-    """Return a log's row: its name, file seen from the campaign, and what a fit must know of it."""
-    slope = report.drop.slope if report.drop else None
-    curve = "no_load" if _span(report, "thrust") < _NO_THRUST * most else "static"
-    source = Path(report.path)
-    return {
-        "name": source.stem,
-        "file": Path(os.path.relpath(source, path.parent)).as_posix(),
-        "slope": f"{_TODO} deg" if slope is None else f"{math.degrees(slope):.1f} deg",
-        "direction": _one_way(report) or ("reversal" if both else "forward"),
-        "points": curve if report.kind == "static-map" else "",
+        "logs": logs or [_BLANK],
     }
 
 

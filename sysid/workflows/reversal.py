@@ -18,7 +18,7 @@ from sysid.recording import Channel
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_result, print_table
 from sysid.report.motor_figures import ReversalCurves, figure_reversals
-from sysid.report.table import Table, listed
+from sysid.report.table import listed
 from sysid.trials.bench_log import (
     CommandRange,
     CommandSteps,
@@ -249,18 +249,8 @@ def print_reversal_times(
         curves = [ReversalCurves(log.name, log.groups, log.thrust) for log in timed]
         save_figure(figure_reversals(curves), figure)
     document = {"level": LEVEL, "logs": [log.document(options.slow) for log in timed]}
-    if not print_result(document, json):
-        print_table(_table(timed, options.slow))
-        for log in timed:
-            for finding in log.notes:
-                print(f"{log.name}: {finding}")
-            if log.lost:
-                print(f"{log.name}: {log.lost} reversals left out, the logger stalled around their command")
-        if figure is not None:
-            print(f"{figure}  thrust after the command")
-
-
-def _table(timed: Sequence[LogReversals], slow: float) -> Table:
+    if print_result(document, json):
+        return
     rows = []
     for log in timed:
         read_from = "" if log.crossing_from == "speed" else " T"
@@ -271,16 +261,22 @@ def _table(timed: Sequence[LogReversals], slow: float) -> Table:
                 _milliseconds(group, "to_level"), _milliseconds(group, "zero_crossing") + read_from,
                 _milliseconds(group, "dead_band") + read_from,
                 # A single repetition is the quickest of its group.
-                f"{100 * group.outliers(slow) / count:.0f} %" if count > 1 else "–",
+                f"{100 * group.outliers(options.slow) / count:.0f} %" if count > 1 else "–",
             ))  # fmt: skip
-    return listed(
-        "reversal times from the command, median (quartiles) [ms]",
-        rows,
-        ("log", "u", "n", "to 90 %", "to zero", "dead band", "outliers"),
-        f"outliers: over {slow:g} times the quickest, or 90 % not seen to be reached; zero crossing and "
-        "dead band of the speed where it is signed, else (T) of the thrust",
-        texts=2,
+    words = (
+        f"outliers: over {options.slow:g} times the quickest, or 90 % not seen to be reached; zero crossing "
     )
+    words += "and dead band of the speed where it is signed, else (T) of the thrust"
+    heads = ("log", "u", "n", "to 90 %", "to zero", "dead band", "outliers")
+    title = "reversal times from the command, median (quartiles) [ms]"
+    print_table(listed(title, rows, heads, words, texts=2))
+    for log in timed:
+        for finding in log.notes:
+            print(f"{log.name}: {finding}")
+        if log.lost:
+            print(f"{log.name}: {log.lost} reversals left out, the logger stalled around their command")
+    if figure is not None:
+        print(f"{figure}  thrust after the command")
 
 
 def _milliseconds(group: Repetitions, name: str) -> str:

@@ -220,15 +220,13 @@ def test_cell_and_tachometer_are_one_trial(cell_and_tachometer):
     # 60 Hz of the filter is 2 to 3 rad/s of a deviation of 170.
     assert np.all(scored[:, 0] < 0.013)
     assert np.all(scored[:, 1] < 0.02)
-
-
-def test_the_offset_is_in_the_record_of_a_fit(cell_and_tachometer):
-    folder = cell_and_tachometer.with_name("fit")
+    folder = path.with_name("fit")
     options = FitOptions(
         folder, population=8, runs=1, max_generations=1, finish="none", quiet=True, trust=False
     )
-    fit_motor(cell_and_tachometer, options)
-    second = read_fit(folder).provenance["logs"]["forward-1"]["second_log"]
-    assert second["log"] == "tach.csv"
-    assert second["offset"] == pytest.approx(7.3, abs=5e-4)
-    assert second["confidence"] > 0.1
+    fit_motor(path, options)
+    stored = read_fit(folder).provenance["logs"]["forward-1"]["second_log"]
+    assert stored["log"] == "tach.csv"
+    assert {key: stored[key] for key in ("offset", "confidence")} == pytest.approx(
+        {key: second[key] for key in ("offset", "confidence")}
+    )

@@ -146,7 +146,6 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
     )
     result, _ = fit_gear(folder / "campaign.toml", options)
     plain = np.array([run.stages[0].cost.min() for run in result.runs])
-    print(f"truth {floor:.4%}, sets {result.nrmse}, of the GA alone {plain}, excess {_excess(plain, floor)}")
     assert len(result.nrmse) == 5
     assert _excess(plain, floor).min() < 0.04
     assert result.nrmse[0] <= 1.002 * floor
@@ -165,7 +164,6 @@ def test_the_paper_s_search_on_full_noise(tmp_path):
         out=tmp_path / "plain", algorithm="ga", population=400, finish="none", quiet=True, trust=False
     )
     plain, _ = fit_gear(folder / "campaign.toml", paper)
-    print(f"truth {floor:.4%}, plain GA {plain.nrmse}, excess {_excess(plain.nrmse, floor)}")
     # Eight free parameters soak up some of 900 noisy samples per channel: about 2 % of the truth's NRMSE.
     assert plain.nrmse[0] > 0.97 * floor
     assert _excess(plain.nrmse, floor)[0] < 0.08

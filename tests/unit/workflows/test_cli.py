@@ -77,17 +77,6 @@ def test_fit_gear_show_export_and_read_back(drops, run, tmp_path, refused):
     assert run("fit-gear", campaign, *SMALL, "--force")[0] == 0
 
 
-def test_an_early_ctrl_c_says_so(monkeypatch, run):
-    app = typer.Typer()
-
-    @command(app, "wait", "sysid wait")
-    def wait() -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("sysid.cli.app", app)
-    assert run() == (130, "", "stopped by the user\n")
-
-
 def test_ctrl_c_outlives_a_compiler_that_swallows_exceptions(monkeypatch, run):
     """In any command: an exception in a callback of LLVM is printed by ctypes and forgotten."""
     app = typer.Typer()

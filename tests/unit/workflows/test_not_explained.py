@@ -78,16 +78,11 @@ def test_not_explained_is_said_first_and_last_with_one_number(fit):
         assert words in last
 
 
-def test_show_says_it_above_its_tables(fit, run):
+def test_without_intervals_no_digits_of_a_symptom_are_printed_or_exported(fit, run, tmp_path):
     done = fit(trust=False)
     out = run("show", done.folder)[1]
     assert out.count("not explained") == 1
     assert out.startswith("not explained: NRMSE ")
-
-
-def test_without_intervals_no_digits_of_a_symptom_are_printed_or_exported(fit, run, tmp_path):
-    done = fit(trust=False)
-    out = run("show", done.folder)[1]
     rows = [line.split() for line in out.splitlines() if line.startswith(" τ [s]")]
     assert [row[2:4] for row in rows[:2]] == [["not", "interpretable"]] * 2
     assert "0.12*" not in out
