@@ -19,7 +19,7 @@ from sysid.report.snapshots import BODY, FRICTION, NORMAL, draw_drone, draw_slop
 from sysid.types import FloatArray
 
 _DIMENSION, _WEIGHT, _THRUST, _AXES = "#009E73", "#7A5195", "#E69F00", "#555555"
-# State of the rear and of the front foot in each mode of the hybrid.
+# States of the rear and the front foot, by the mode of the drone on high friction.
 _FEET = {
     "both slip": ("slips", "slips"),
     "rear sticks": ("sticks", "slips"),
@@ -30,7 +30,7 @@ _FEET = {
 
 def gear_sketch(values: Mapping[str, float], slope: float) -> Html:
     """Return the drone on its slope [rad], to scale, in the colours of a page: values [SI]."""
-    drone = _in_millimetres(values)
+    drone = drone_of(values, 1e3)
     arm, foot = drone.rods[0, 1, 0], -drone.feet[1, 1]
 
     def path(points: FloatArray, look: str = "") -> str:
@@ -53,14 +53,9 @@ def gear_sketch(values: Mapping[str, float], slope: float) -> Html:
     )
 
 
-def _in_millimetres(values: Mapping[str, float]) -> Drone:
-    drone = drone_of(values)
-    return Drone(**{part: 1e3 * points for part, points in vars(drone).items()})
-
-
 def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     """Draw frames, lengths and forces of the planar model (Fig. 2), to scale: values [SI], slope [rad]."""
-    drone = _in_millimetres(values)
+    drone = drone_of(values, 1e3)
     # The figure is no wider than a phone shows it, so letters keep their size.
     figure, axes = panel(4.1)
     axes.set_aspect("equal")
@@ -108,7 +103,7 @@ def _lengths(axes: Axes, drone: Drone, unit: float, arm: float) -> None:
 
 def _forces(axes: Axes, drone: Drone, unit: float, along: FloatArray, normal: FloatArray) -> None:
     arrow(axes, (0, 0), (0, -0.5 * unit), _WEIGHT)
-    # To the left: the angle of the leg is written to the right.
+    # On the left of the arrow: the angle of the leg is written on its right.
     _write(axes, (-6, -0.5 * unit), r"$m_B\,g$", _WEIGHT)
     joint, rear = drone.joints[1], drone.feet[0]
     middle = 0.5 * (joint + drone.feet[1])
@@ -177,7 +172,7 @@ def foot_transitions() -> tuple[tuple[str, str, str], ...]:
     """
     mu_k, mu_s, normal = 0.8, 0.9, 10.0
     names, out = ("slips", "sticks"), []
-    # Stuck or with a slip just through zero; the friction that sticking needs, below and above what there is.
+    # Two feet whose slip has just passed zero, then two stuck ones, on both sides of each condition.
     for stuck, slip, margin, required, condition in (
         (0.0, -1e-3, 0.1, 0.5 * mu_k * normal, r"$v_t \to 0$ and $\mu_k F_n > |f_{req}|$"),
         (0.0, -1e-3, 0.1, 1.5 * mu_k * normal, r"$v_t \to 0$ but $\mu_k F_n \leq |f_{req}|$"),
@@ -215,7 +210,6 @@ def figure_modes(shares: Mapping[str, float] | None = None) -> Figure:
         look: Style = {"facecolor": "white", "edgecolor": BODY, "linewidth": 1.4, "zorder": 3}
         style = "round,pad=0.02,rounding_size=0.1"
         axes.add_patch(FancyBboxPatch((x - 0.36, y - 0.2), 0.72, 0.4, boxstyle=style, **look))
-        # Shares of the time on the ground.
         flight = "\n(also in flight)" if mode == "both slip" and not shares else ""
         share = f"\n{100 * shares[mode]:.0f} % on the ground" if shares else ""
         _write(axes, (x, y), f"{mode}{flight}{share}", "black", ha="center", fontsize=8, zorder=4)

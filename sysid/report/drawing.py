@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from sysid.errors import ExportError
 from sysid.fit.result import FitResult
@@ -31,16 +29,15 @@ BEST = "#D55E00"
 OTHERS = "#56B4E9"
 MASKED = "#E6E6E6"
 RUNS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
-# Words for the use of a trial.
+# Words for the use of a trial in a fit.
 USES = {"fit": "fitted", "validate": "not fitted"}
 # Width of a figure on a page that a phone shows too [in].
 WIDTH = 4.3
 
-# Number of a curve's points beyond which only the least and the largest of every stretch are drawn.
+# Greatest number of drawn points of a curve; of more only the least and largest of every stretch are drawn.
 _POINTS = 900
 # Unit in which a channel is shown where that is not its SI unit, and the factor to it.
 _UNITS = {"q_B": ("deg", 180.0 / np.pi), "torque": ("mN·m", 1e3), "stator_torque": ("mN·m", 1e3)}
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _FORMATS = (".png", ".pdf", ".svg")
 _INDEXED = re.compile(r"(\w[^\W_]*)_([^\W_]+)")
 
@@ -161,19 +158,6 @@ def unit_of(fit: FitResult, c: int) -> tuple[str, float]:
     return _UNITS.get(fit.channels[c], (fit.channel_units[c], 1.0))
 
 
-def plain_powers(*axis: Axis) -> None:
-    """Label the powers of ten of logarithmic axes as plain text, which draws faster than formulas."""
-
-    def power(value: float, _: object) -> str:
-        return "10" + str(round(np.log10(value))).translate(_RAISED) if value > 0 else ""
-
-    for each in axis:
-        low, high = each.get_view_interval()
-        if high > 10 * low:
-            each.set_major_formatter(FuncFormatter(power))
-            each.set_minor_formatter(NullFormatter())
-
-
 def percent_text(share: float) -> str:
     """Return a share [1] in percent; a dash where it is unknown."""
     if not np.isfinite(share):
@@ -195,7 +179,7 @@ def figure_bytes(figure: Figure, kind: str, dpi: float = 150.0) -> bytes:
     `dpi` are the pixels per inch of a PNG, and of dense curves inside the others.
     """
     buffer = io.BytesIO()
-    # No date and no random names inside.
+    # A date or random names would make the bytes of equal figures differ.
     metadata = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
     with rc_context({"svg.hashsalt": "sysid"}):
         figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)

@@ -130,7 +130,7 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     measured = np.stack([np.interp(time, frames, each) for each in seen.T], axis=1)
     surface = str(fit.settings.get("surface", "lf"))
     tolerance = float(fit.settings.get("tolerance", 3e-4))
-    # A row of the table that an older fit lacks takes its default.
+    # A parameter that an older fit lacks takes its default.
     run = simulate(values, slope, start, time, surface=surface, tolerance=tolerance)
     feet, lift = foot_points(run.state, values), np.array([0.0, height])
     # Feet are smooth in the coordinates: a difference over 0.1 us leaves an error of some 1e-7 m/s.
@@ -155,11 +155,11 @@ class Drone:
     rods: FloatArray
 
 
-def drone_of(values: Mapping[str, float]) -> Drone:
+def drone_of(values: Mapping[str, float], scale: float = 1.0) -> Drone:
     """Return the drone of a set: joints and feet as fitted; hull, masts and propellers are only its looks."""
 
     def pair(x: float, z: float) -> FloatArray:
-        return np.array([[-x, z], [x, z]])
+        return scale * np.array([[-x, z], [x, z]])
 
     arm = values["thrust_point_dx"]
     joints, feet = (pair(values[f"{part}_dx"], -values[f"{part}_dz"]) for part in ("joint", "foot"))
@@ -229,7 +229,15 @@ def steepest(drops: Sequence[DropReplay]) -> int:
 
 
 def _document(key: str, replays: Mapping[str, DropReplay]) -> dict[str, object]:
-    first = next(iter(replays.values()))
+    """Return what the script draws, in whole numbers: lengths [0.1 mm], angles [0.1 mrad], forces [N]."""
+    first, fits = next(iter(replays.values())), []
+    for name, drop in replays.items():
+        # A lost measurement is sent as 9 m, which the script leaves out: JSON has no NaN.
+        measured = np.where(np.isfinite(drop.measured), drop.measured, 9.0)
+        forces = drop.normal_force, drop.friction_force
+        frames = np.column_stack([1e4 * drop.body, 1e4 * drop.feet.reshape(-1, 4), *forces, 1e4 * measured])
+        drone = {part: _whole(1e4 * points) for part, points in vars(drone_of(drop.values)).items()}
+        fits.append({"name": name, "frames": _whole(frames[::_EVERY]), "drone": drone})
     return {
         "key": key,
         "name": first.name,
@@ -238,18 +246,9 @@ def _document(key: str, replays: Mapping[str, DropReplay]) -> dict[str, object]:
         "step": _EVERY / RATE,
         "snapshots": [[round(t, 4), what] for t, what in first.first_contacts()],
         "contacts": [[c.foot, round(c.start, 4), round(c.end, 4)] for c in first.contacts],
-        "fits": [{"name": name, **_movement(drop)} for name, drop in replays.items()],
+        "fits": fits,
     }
 
 
-def _movement(drop: DropReplay) -> dict[str, object]:
-    """Return what the script draws, in whole numbers: lengths [0.1 mm], angles [0.1 mrad], forces [N]."""
-    # The script draws no ghost that is 9 m away.
-    measured = np.where(np.isfinite(drop.measured), drop.measured, 9.0)
-    forces = drop.normal_force, drop.friction_force
-    frames = np.column_stack([1e4 * drop.body, 1e4 * drop.feet.reshape(-1, 4), *forces, 1e4 * measured])
-    drone = {
-        part: np.rint(1e4 * points).astype(int).tolist()
-        for part, points in vars(drone_of(drop.values)).items()
-    }
-    return {"frames": np.rint(np.nan_to_num(frames[::_EVERY])).astype(int).tolist(), "drone": drone}
+def _whole(values: FloatArray) -> object:
+    return np.rint(np.nan_to_num(values)).astype(int).tolist()

@@ -7,7 +7,6 @@ put many panels side by side.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from sysid.documents import channel_symbol
-from sysid.filters import Spectrum, runs, stated_filter
+from sysid.filters import runs, stated_filter
 from sysid.fit.optima import SAME_NRMSE
 from sysid.fit.result import FitResult, TrialResult
 from sysid.report.answer import Reopened
@@ -32,14 +31,13 @@ from sysid.report.drawing import (
     panel,
     paper,
     percent_text,
-    plain_powers,
     unit_of,
 )
 from sysid.report.plots import Curve, Panel, View, figure_of
 from sysid.trust.documents import FreeParameter, TrustDocument
 from sysid.types import FloatArray
 
-# Markers of optima, best first.
+# Markers of optima, the best optimum first.
 _MARKERS = "osD^vP*X"
 # Finer unit of the residuals of a unit, and the factor to it.
 _FINER = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
@@ -105,7 +103,7 @@ def trial_view(
             unit, finer = _FINER.get(unit, (unit, 1.0))
             curve = Curve("residual", finer * factor * error, "best", "thin")
             panels.append(Panel(f"residual of {name}", unit, [curve], low=True))
-    # A stretch without any sample that counts: an occlusion, a stall of the logger.
+    # Stretches without any valid sample, such as an occlusion or a stall of the logger.
     lost = [
         (float(time[max(first - 1, 0)]), float(time[min(end, len(time) - 1)]))
         for first, end in runs(np.asarray(~trial.valid.any(axis=1)))
@@ -163,7 +161,7 @@ def figure_waterfall(fit: FitResult) -> Figure:
         drawn.setdefault(name, (look, []))[1].append((rank, float(agreement.cost[run]) / best))
     for name, (look, points) in sorted(drawn.items()):
         axes.plot(*zip(*points, strict=True), linestyle="none", markersize=7, label=name, **look)
-    # Differences that tell no optima apart are not drawn large.
+    # Differences within one optimum would look large on an axis of their own span.
     span = max(float(agreement.cost.max()) / best - 1, 5 * SAME_NRMSE)
     axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.ticklabel_format(axis="y", useOffset=False)
@@ -199,39 +197,33 @@ def figure_spread(fit: FitResult) -> Figure:
     return figure
 
 
-def figure_spectrum(
-    fit: FitResult, spectra: Sequence[Spectrum], channel: int, gain: tuple[FloatArray, FloatArray] | None
-) -> Figure:
-    """Draw the spectra of one channel before the filter, and the filter's gain [dB] over frequency [Hz]."""
-    figure = Figure(figsize=(WIDTH, 3.2))
-    axes = figure.add_axes((0.19, 0.15, 0.64, 0.81))
-    unit, factor = unit_of(fit, channel)
-    name = as_math(channel_symbol(fit.channels[channel]))
-    for spectrum in spectra:
-        density = factor * spectrum.density[:, channel]
-        if np.any(np.isfinite(density)):
-            axes.loglog(spectrum.frequency, density, color="0.6", linewidth=0.7)
-    plain_powers(axes.xaxis, axes.yaxis)
-    axes.set(xlabel="frequency [Hz]", ylabel=f"{name} [{unit}/√Hz]")
-    axes.grid(True, color="0.92")
-    handles = [Line2D([], [], color="0.6", linewidth=0.7, label="trials, unfiltered")]
-    if gain is not None:
-        right = axes.twinx()
-        handles += right.plot(*gain, color=BEST, linewidth=1.5, label="filter")
-        right.set_ylim(-90, 6)
-        right.set_ylabel("gain of the filter [dB]", color=BEST)
-        right.tick_params(axis="y", colors=BEST)
-        axes.legend(handles=handles, frameon=False, fontsize=8, loc="lower left")
-    return figure
-
-
-def filter_gain(design: Mapping[str, Any], highest: float) -> tuple[FloatArray, FloatArray] | None:
-    """Return the gain of a filter that a result states: frequency (n,) [Hz] and gain (n,) [dB]."""
-    lowpass = stated_filter(design)
-    if lowpass is None:
-        return None
-    frequency = np.geomspace(1.0, highest, 400)
-    return frequency, 20 * np.log10(np.maximum(np.abs(lowpass.gain(frequency)), 1e-6))
+def spectrum_figures(fit: FitResult, trials: Sequence[TrialResult]) -> dict[str, Figure]:
+    """Draw the spectra of each channel before the filter, and the filter's gain [dB] over frequency [Hz]."""
+    spectra = [trial.spectrum for trial in trials if trial.spectrum is not None]
+    lowpass = stated_filter(fit.provenance.get("filter", {}))
+    out = {}
+    for c, channel in enumerate(fit.channels if spectra else ()):
+        figure = Figure(figsize=(WIDTH, 3.2))
+        axes = figure.add_axes((0.19, 0.15, 0.64, 0.81))
+        unit, factor = unit_of(fit, c)
+        for spectrum in spectra:
+            density = factor * spectrum.density[:, c]
+            if np.any(np.isfinite(density)):
+                axes.loglog(spectrum.frequency, density, color="0.6", linewidth=0.7)
+        axes.set(xlabel="frequency [Hz]", ylabel=f"{as_math(channel_symbol(channel))} [{unit}/√Hz]")
+        axes.grid(True, color="0.92")
+        if lowpass is not None:
+            frequency = np.geomspace(1.0, max(float(spectrum.frequency[-1]) for spectrum in spectra), 400)
+            gain = 20 * np.log10(np.maximum(np.abs(lowpass.gain(frequency)), 1e-6))
+            right = axes.twinx()
+            handles = [Line2D([], [], color="0.6", linewidth=0.7, label="trials, unfiltered")]
+            handles += right.plot(frequency, gain, color=BEST, linewidth=1.5, label="filter")
+            right.set_ylim(-90, 6)
+            right.set_ylabel("gain of the filter [dB]", color=BEST)
+            right.tick_params(axis="y", colors=BEST)
+            axes.legend(handles=handles, frameon=False, fontsize=8, loc="lower left")
+        out[channel] = figure
+    return out
 
 
 def figure_profile(row: FreeParameter, values: FloatArray, deviance: FloatArray) -> Figure:

@@ -43,10 +43,9 @@ from sysid.report.fit_figures import (
     figure_correlation,
     figure_measured_against_simulated,
     figure_profile,
-    figure_spectrum,
     figure_spread,
     figure_waterfall,
-    filter_gain,
+    spectrum_figures,
     trial_view,
 )
 from sysid.report.html import (
@@ -491,7 +490,8 @@ class FitReport:
         """Return the filter's gain over the spectrum of what was measured."""
         kind = str(self.fit.provenance.get("filter", {}).get("kind", "none"))
         pieces = []
-        for name, figure in self._spectra().items():
+        trials = [trial for _, trial in self._each()]
+        for name, figure in spectrum_figures(self.fit, trials).items():
             words = f"amplitude spectrum of {name} before the filter, and the gain of the filter ({kind})"
             pieces.append(picture(figure, words))
         missing = "The signals were not filtered, or the fit lacks their spectra."
@@ -525,7 +525,9 @@ class FitReport:
         out["convergence"] = figure_convergence(self.fit, wide=True)
         out["waterfall"] = figure_waterfall(self.fit)
         out["spread"] = figure_spread(self.fit)
-        out |= {f"spectrum-{name}": figure for name, figure in self._spectra().items()}
+        trials = [trial for _, trial in self._each()]
+        for name, figure in spectrum_figures(self.fit, trials).items():
+            out[f"spectrum-{name}"] = figure
         if self.trust is not None:
             out["correlation"] = figure_correlation(self.trust)
         if self.climbed is not None:
@@ -546,15 +548,6 @@ class FitReport:
         """Return the line that names the command which computes a missing part."""
         what = f"{what[:1].upper()}{what[1:]}"
         return paragraph(f"{what}: not computed; run {command} {self.folder}{arguments}", "note")
-
-    def _spectra(self) -> dict[str, Figure]:
-        spectra = [trial.spectrum for _, trial in self._each() if trial.spectrum is not None]
-        if not spectra:
-            return {}
-        highest = max(float(spectrum.frequency[-1]) for spectrum in spectra)
-        gain = filter_gain(self.fit.provenance.get("filter", {}), highest)
-        channels = enumerate(self.fit.channels)
-        return {name: figure_spectrum(self.fit, spectra, c, gain) for c, name in channels}
 
 
 def _counted(number: int, noun: str) -> str:

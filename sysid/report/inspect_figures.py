@@ -14,7 +14,7 @@ from sysid.recording import COMPONENTS, Channel, Recording
 from sysid.report.drawing import BEST, MEASURED, RUNS, paper
 from sysid.trials.look import LogReport
 
-# Channels that tell most about a bench log, first; of other logs the first ones.
+# Channels that tell most about a bench log, most telling first.
 _FIRST = ("command", "speed", "thrust", "torque", "voltage", "current")
 # Greatest number of drawn channels of a log, and of drawn points of a channel.
 _MOST_ROWS, _MOST_POINTS = 6, 20_000
@@ -59,7 +59,7 @@ def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> N
             loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0.0, ncols=len(labels),
             frameon=False, fontsize="small",
         )  # fmt: skip
-    # The unit of a pure number is 1, as of the parts of a quaternion.
+    # A pure number, such as a part of a quaternion, has the unit 1.
     unit = f" [{channel.unit or '1'}]"
     name = channel.name.replace("/", "\n") + (" change" if change else "")
     axes.set_ylabel(name + unit, fontsize="small")

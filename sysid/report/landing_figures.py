@@ -20,9 +20,9 @@ from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.landing.real_landings import Experiment, of_map
 from sysid.landing.store import MapFile
 from sysid.report.drawing import BEST, OTHERS, WIDTH, Style, paper
-from sysid.types import BoolArray, FloatArray
+from sysid.types import FloatArray
 
-# Okabe and Ito, as everywhere; B is white as in the paper.
+# Colours of the classes, by Okabe and Ito as in all figures; class B is white as in the paper.
 COLOURS: dict[Outcome, str] = {
     Outcome.SHORT: "#009E73",
     Outcome.NEAR: "#E69F00",
@@ -39,13 +39,13 @@ _LIMIT_STYLES: dict[str, Style] = {"rigid": {"linestyle": "dashdot"}, "bending":
 _TIME_STYLE = (0, (4, 2))
 # Look of the slopes above a map.
 _BEYOND: Style = {"facecolor": "#F2F2F2", "hatch": "////", "edgecolor": "#BBBBBB", "linewidth": 0.0}
-# Room above the steepest slope of a map, for static limits that lie a little higher [deg].
+# Greatest distance above a map at which a static limit still extends the axis [deg].
 _ROOM = 6.0
-# Least distance of a contour's label from other labels, and from the edges, in widths of the axes.
+# Least distance of a contour's label from other labels, and from the edges, in widths of the axes [1].
 _APART, _INSIDE = 0.11, 0.05
 # Longest list of controllers and their thrusts in the legend [characters].
 _LONGEST = 40
-# Outcomes of a real landing in a table: word, marker, colour, name in the legend.
+# Real landings by their outcome: word in the table of landings, marker, colour, name in the legend.
 _MARKERS = (
     ("short", "o", COLOURS[Outcome.SHORT], "at rest nearby"),
     ("landed", "o", OTHERS, "landed"),
@@ -76,7 +76,7 @@ class DrawnLimits:
 
 
 Limits = Mapping[tuple[str, str], DrawnLimits]
-# What was drawn, by its words in the order of drawing; the legend lists that and nothing else.
+# Samples of the drawn things by their words, in the order of drawing; a legend lists these and nothing else.
 MapLegend = dict[str, Patch | Line2D]
 
 
@@ -108,7 +108,7 @@ def figure_of_file(
 ) -> Figure:
     """Draw the maps of a file, or one of them, with limits and real landings; see `figure_landing_maps`."""
     settings = content.settings
-    # The impulse alone follows the two maps of a surface that it bounds.
+    # Best impulses have three maps of each surface; the third, of the impulse alone, bounds the others.
     alone = {each.surface: each for each in content.maps[2::3]} if len(content.impulses) else {}
     alone_by_map = {
         (each.surface, each.controller): alone[each.surface]
@@ -261,13 +261,20 @@ def _draw_uncertain(axes: Axes, chart: LandingMap, legend: MapLegend) -> None:
 
 def _draw_letters(axes: Axes, chart: LandingMap, lines: Sequence[float]) -> list[FloatArray]:
     """Name the zones A and B, clear of level lines [deg]; return where, in widths of the axes."""
+    from scipy.ndimage import distance_transform_edt
+
     taken = []
     low, high = axes.get_ylim()
     clear = np.all([np.abs(chart.slopes_deg - line) > _APART * (high - low) / 2 for line in lines], axis=0)
     for outcome, letter in ((Outcome.FLIPPED, "A"), (Outcome.OTHER, "B")):
-        place = _middle(chart.likeliest == outcome, np.broadcast_to(clear, chart.slopes_deg.shape))
-        if place is not None:
-            spot = np.array([chart.speeds[place[1]], chart.slopes_deg[place[0]]])
+        cells = chart.likeliest == outcome
+        # A letter stands in the deepest cell of its zone, and a small zone has none.
+        if cells.sum() >= 0.02 * cells.size:
+            depth = distance_transform_edt(np.pad(cells, 1))[1:-1, 1:-1]
+            away = np.where(np.broadcast_to(clear, chart.slopes_deg.shape)[:, None], depth, 0.0)
+            deepest = int(np.argmax(away if away.any() else depth))
+            row, column = np.unravel_index(deepest, cells.shape)
+            spot = np.array([chart.speeds[column], chart.slopes_deg[row]])
             around = [withStroke(linewidth=5, foreground=COLOURS[outcome])]
             axes.text(
                 spot[0], spot[1], letter, fontsize=13, ha="center", va="center", zorder=5, path_effects=around
@@ -289,7 +296,7 @@ def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legen
         (chart.mean_distance, _DISTANCES, _DISTANCE_COLOUR, "solid", "m", "mean distance to rest"),
         (chart.mean_time, _TIMES, _TIME_COLOUR, _TIME_STYLE, "s", "mean time to rest"),
     ):
-        # A mean over a cell in which hardly anything lands says little, and its contours are a tangle.
+        # Means over cells in which few sets land say little, and their contours are a tangle.
         known = np.where(landed & np.isfinite(values), values, np.nan)
         low, high = np.nanmin(known, initial=np.inf), np.nanmax(known, initial=0.0)
         inside = [level for level in levels if low < level < high]
@@ -380,19 +387,6 @@ def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, 
         if legs in drawn:
             label = f"static limit of the first set, {legs} legs ({thrust})"
             legend[label] = Line2D([], [], color=_LIMIT_COLOUR, **_LIMIT_STYLES[legs])
-
-
-def _middle(cells: BoolArray, rows: BoolArray) -> tuple[int, int] | None:
-    """Return the deepest cell of a zone within the rows; None where the zone is too small."""
-    from scipy.ndimage import distance_transform_edt
-
-    if cells.sum() < 0.02 * cells.size:
-        return None
-    depth = distance_transform_edt(np.pad(cells, 1))[1:-1, 1:-1]
-    if (depth[rows] > 0).any():
-        depth = np.where(rows[:, None], depth, 0.0)
-    row, column = np.unravel_index(int(np.argmax(depth)), cells.shape)
-    return int(row), int(column)
 
 
 def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: MapLegend) -> None:

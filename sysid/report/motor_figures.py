@@ -17,15 +17,16 @@ from sysid.report.plots import Colour, Curve, Panel, View
 from sysid.trials.reversal import LEVEL, Repetitions
 from sysid.types import BoolArray, FloatArray
 
-# Time that is drawn before the command, and beyond the slowest repetition's 90 % [s].
+# Drawn time before a command, and after the slowest repetition has reached 90 % of its final thrust [s].
 _BEFORE, _BEYOND = 0.1, 0.2
-# Time that is drawn after a command of a fit's trial, and its least where the trial ends earlier [s].
+# Drawn time after a command of a trial, and the least time that must be left in the trial then [s].
 _AFTER, _LEAST = 0.5, 0.3
+# Places x and values y of a cloud of points, by its name.
 Points = Mapping[str, tuple[FloatArray, FloatArray]]
 # Unit of each static curve, and factor from SI.
 _UNITS = {"thrust": ("N", 1.0), "torque": ("mN·m", 1e3), "no_load": ("rad/s", 1.0)}
 _COLOURS: tuple[Colour, ...] = ("best", "blue")
-# Number of a drawn curve's places, and of the drawn points of a cloud.
+# Number of places of a drawn curve, and greatest number of drawn points of a cloud.
 _PLACES, _MOST = 60, 600
 
 
@@ -138,7 +139,7 @@ def curve_views(stated: Sequence[Mapping[str, Any]], points: Points) -> tuple[li
             sign = 1.0 if direction == "forward" else -1.0
             place = sign * np.linspace(0.0 if quantity != "no_load" else 0.02, end, _PLACES)
             if len(x):
-                # Two points of one speed are drawn beside each other: a curve has one value at a place.
+                # A page's curve has one value at a place: points of equal speed are moved apart by a trifle.
                 x = x + 1e-9 * end * np.arange(len(x))
                 curves.append(Curve(f"points, {direction}", y, "ink", "dots", x=x))
                 off = y - factor * _value(quantity, row["coefficients"], x)

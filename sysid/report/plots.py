@@ -44,20 +44,20 @@ from sysid.types import FloatArray
 # Colours by name; page.css gives each one a value on light and on dark paper.
 Colour = Literal["ink", "best", "others", "band", "blue", "green", "pink", "amber", "faint"]
 Look = Literal["line", "thin", "dashed", "dots", "steps"]
-# Colours of the fits and groups that are drawn over each other.
+# Colours of fits, or groups, whose curves share a panel, in their order.
 SERIES: tuple[Colour, ...] = ("best", "blue", "green", "pink", "amber", "others")
-# Colours of the rows of bars.
+# Colours of the rows of bars, in their order.
 BARS: tuple[Colour, ...] = ("green", "pink", "amber")
-# Colours in figures of matplotlib.
+# Colours in figures of matplotlib by their name on a page.
 _INKS: dict[str, str] = {
     "ink": MEASURED, "best": BEST, "others": OTHERS, "band": BEST, "blue": RUNS[0], "green": "#009E73",
     "pink": "#CC79A7", "amber": "#E69F00", "faint": "#8A8D95",
 }  # fmt: skip
-# Number of samples of a view beyond which a page gets only the least and largest of every stretch.
+# Greatest number of samples of a view in a page; of more the least and largest of every stretch are kept.
 _MOST = 3000
-# Share of a panel's range that a curve may leave it by.
+# Distance that an unscaled curve may be drawn beyond the scaled ones, in shares of their range [1].
 _MARGIN = 0.25
-# Shorter bars are widened to this share of the time, to be seen.
+# Least length of a drawn bar, in shares of the drawn time [1]: shorter bars could not be seen.
 _SHORTEST_BAR = 3e-3
 
 

@@ -38,13 +38,12 @@ def figure_snapshots(drop: DropReplay, *, legend: bool = False) -> Figure:
     instants = drop.first_contacts()
     around = (0.0, 0.55 if legend else 0.1)
     figure, every = panels(len(instants), 2, (0.5 * WIDTH, 1.95), around)
-    scale = _force_scale(drop)
     for number, ((time, _), axes) in enumerate(zip(instants, every, strict=True), start=1):
         i = drop.index(time)
         first = max(i - _NEAR, 0)
         loaded = first + int(np.argmax(drop.normal_force[first : i + _NEAR + 1].sum(axis=1)))
         x, z, _ = drop.body[i]
-        _draw_drone(axes, drop, i, scale, loaded)
+        _draw_drone(axes, drop, i, loaded)
         axes.set(xlim=(x - 0.28, x + 0.28), ylim=(z - 0.25, z + 0.2))
         axes.set_title(f"({number}) {1e3 * time:.0f} ms", fontsize=9, loc="left")
     if legend:
@@ -59,13 +58,7 @@ def figure_snapshots(drop: DropReplay, *, legend: bool = False) -> Figure:
     return figure
 
 
-def _force_scale(drop: DropReplay) -> float:
-    """Return metres of arrow per newton."""
-    largest = float(np.nanmax(np.abs(drop.normal_force), initial=0.0))
-    return _LONGEST / largest if largest > 0 else 0.0
-
-
-def _draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, loaded: int) -> None:
+def _draw_drone(axes: Axes, drop: DropReplay, i: int, loaded: int) -> None:
     """Draw slope, drone and the measured ghost at sample `i`, with the forces of sample `loaded` [m]."""
     axes.set_aspect("equal")
     axes.set_axis_off()
@@ -76,6 +69,8 @@ def _draw_drone(axes: Axes, drop: DropReplay, i: int, scale: float, loaded: int)
         ghost = drop.measured[i]
         draw_drone(axes, drone, ghost, placed(drone.feet, ghost), GHOST, "none", 1.0, zorder=2)
     draw_drone(axes, drone, drop.body[i], drop.feet[i], BODY, "#DDDDDD", 2.0, zorder=4)
+    # Length of an arrow per force [m/N].
+    scale = _LONGEST / max(float(np.nanmax(np.abs(drop.normal_force), initial=0.0)), 1e-9)
     for foot in (0, 1):
         start = drop.feet[i, foot]
         for force, way, colour in (
@@ -128,14 +123,13 @@ def film_bytes(drop: DropReplay, kind: str) -> bytes:
 
     figure = Figure(figsize=(6.4, 4.4), dpi=100)
     axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
-    scale = _force_scale(drop)
     low, high = np.nanmin(drop.body[:, :2], axis=0) - 0.25, np.nanmax(drop.body[:, :2], axis=0) + 0.25
     shots = np.arange(0.0, float(drop.time[-1]), 1.0 / (SLOW * FILM_RATE))
 
     def draw(time: float) -> list[object]:
         axes.clear()
         i = drop.index(time)
-        _draw_drone(axes, drop, i, scale, i)
+        _draw_drone(axes, drop, i, i)
         # The slope reaches both edges of the picture, whatever the shape of the window.
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))

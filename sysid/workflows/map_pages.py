@@ -35,8 +35,9 @@ from sysid.types import IntArray
 from sysid.workflows.reopen import shown_from_here
 
 _SLOPE, _SPEED = ("slope", "deg"), ("touchdown speed", "m/s")
-# Parts of a command that each cell replaces, as `CellChart.command` numbers them.
+# Numbers of the parts that a cell fills into its command: value across, value up, first of its own texts.
 _ACROSS, _UP, _FIRST = 0, 1, 2
+# A command as `CellChart.command` has it.
 Command = tuple[str | int, ...]
 
 
@@ -93,7 +94,7 @@ def study_page(path: Path) -> str:
     return _page("Design study", words, explored, table, figures, simulate, path)
 
 
-# Page that `sysid report` makes of an HDF5 file, by the file's schema.
+# Makers of the page that `sysid report` writes for an HDF5 file, by the file's schema.
 PAGES: dict[str, Callable[[Path], str]] = {MAPS.schema: map_page, STUDY.schema: study_page}
 
 
