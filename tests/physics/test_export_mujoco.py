@@ -6,19 +6,14 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
+from fakes.landings import values
 from fakes.simulators import from_mjcf
 from fakes.standing import tips_under_thrust, tips_without_thrust
 from sysid.errors import ExportError
 from sysid.export.mjcf import foot_inverse_mass, to_mjcf
-from sysid.export.published import table_2
-from sysid.gear.model import PARAMETERS, pack, simulate
+from sysid.gear.model import simulate
 
 mujoco = pytest.importorskip("mujoco", reason="the model of another simulator runs with the extra 'dev' only")
-
-
-def values(surface, **changes):
-    row = pack({k: v for k, v in table_2(surface).set_values(1).items() if k in PARAMETERS}, surface)
-    return dict(zip(PARAMETERS, row.tolist(), strict=True)) | changes
 
 
 # Legs that differ at both ends, whose centre of mass is not in the middle.

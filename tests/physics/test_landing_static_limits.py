@@ -6,10 +6,10 @@ import math
 import pytest
 from scipy.optimize import brentq
 
+from fakes.landings import values
 from fakes.standing import tips_under_thrust, tips_without_thrust
 from sysid.errors import CampaignError
 from sysid.export.published import table_2
-from sysid.gear.model import PARAMETERS, pack
 from sysid.landing.static_limits import (
     StaticLimit,
     rigid_limits,
@@ -23,11 +23,6 @@ REVERSE = 12.0
 
 def deg(angle):
     return math.degrees(angle)
-
-
-def values(surface, **changes):
-    row = pack({k: v for k, v in table_2(surface).set_values(1).items() if k in PARAMETERS}, surface)
-    return dict(zip(PARAMETERS, row.tolist(), strict=True)) | changes
 
 
 LF, HF = values("lf"), values("hf")

@@ -19,7 +19,7 @@ from sysid.landing.controllers import (
 from sysid.landing.drone import Drone, drones
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.landing.settings import MapSettings, Scenario
-from sysid.landing.simulate import classes, down_slope
+from sysid.landing.simulate import classes, down_slope, land_many
 from sysid.motor.model import simulate as simulate_motor
 
 OWN = """\
@@ -138,6 +138,11 @@ def test_a_drone_too_heavy_for_its_motors():
     heavy = Drone({"body_mass": 8.0}, {}, "lf", "heavy")
     with pytest.raises(ExportError, match="heavy: hovering at 78"):
         heavy.hover_command  # noqa: B018
+
+
+def test_a_step_after_the_simulated_time_is_refused():
+    with pytest.raises(CampaignError, match="a step at 50 s"):
+        land_many(published(), [Scenario(0.1, 0.3)], find_controller("impulse:50,100"))
 
 
 def test_sets_pair_one_by_one_or_with_the_best():

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.landings import published
-from fakes.places import PUBLISHED
+from fakes.landings import HF, LF, MOTOR, published
 from sysid.errors import CampaignError, ExportError
 from sysid.landing.controllers import find_controller, load_controllers
 from sysid.landing.impulse import Impulses
@@ -21,7 +20,6 @@ from sysid.landing.store import read_maps
 from sysid.resume import BlockStore
 from sysid.workflows import landing_maps
 
-LF, HF, MOTOR = (PUBLISHED / f"published-{name}.json" for name in ("gear-lf", "gear-hf", "motor"))
 CELLS = ("--slopes", "4", "--speeds", "0.3", "--no-repeat")
 MAP = ("landing-map", LF, "--motor", MOTOR, *CELLS, "--controller", "off", "--out", "map.h5")
 IMPULSE = ("impulse-map", LF, "--motor", MOTOR, *CELLS, "--delays", 0, "--durations", 0, "--out", "map.h5")
@@ -131,24 +129,6 @@ def test_a_controller_that_returns_no_steps(write, returns, says):
     load_controllers(write(text, "mine.py"))
     with pytest.raises(CampaignError, match=says):
         find_controller("mine:0.5")
-
-
-LATE = "impulse:50,100"  # milliseconds were meant
-
-
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ((*MAP, "--controller", LATE), ["a step at 50 s, but only 3 s are simulated", "50ms"]),
-        (("simulate", *MAP[1:4], "--slope", 4, "--speed", 0.3, "--controller", LATE), ["50ms"]),
-        ((*IMPULSE, "--delays", "0:260:10"), ["delays up to 260 s"]),
-    ],
-)
-def test_steps_after_the_simulated_time_are_refused(refused, tmp_path, command, words):
-    refused(words, *command)
-    assert not list(tmp_path.iterdir())
-    with pytest.raises(CampaignError, match="a step at 50 s"):
-        land_many(published(), [Scenario(0.1, 0.3)], find_controller(LATE))
 
 
 def test_what_follows_an_impulse_names_its_maps():
