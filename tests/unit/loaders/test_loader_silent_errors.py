@@ -185,21 +185,20 @@ def test_six_ati_loads_and_a_status_are_not_read_as_a_time_and_six_loads(write, 
     refuses(path, r"the first of seven columns falls in \d+ steps, so it is no time", **ATI, **options)
 
 
-def test_speed_in_hertz_is_advised_to_be_revolutions(write):
-    path = write("Time (s),Speed (Hz),Fz (N)\n" + row_lines(30, "{t},{i},{i}"))
-    refuses(path, r'declare units = \{speed = "rev/s"\}', UnitError)
-    speed = load(path, units={"speed": "rev/s"})["speed"].values
-    np.testing.assert_allclose(speed, 2 * np.pi * np.arange(30), rtol=1e-12)
+STAND_HERTZ = "Time (s),ESC signal (µs),Thrust (N),Motor {} Speed (Hz)\n"
 
 
-@pytest.mark.parametrize("probe", ["speed_electrical", "speed_optical"])
-def test_the_advice_for_a_stand_that_writes_hertz_works(write, probe):
-    label = f"Motor {probe.removeprefix('speed_').title()} Speed (Hz)"
-    path = write(f"Time (s),ESC signal (µs),Thrust (N),{label}\n" + row_lines(30, "{t},1000,{i},{i}"))
-    refuses(path, f'declare units = {{{probe} = "rev/s"}}', UnitError)
-    log = load(path, units={probe: "rev/s"})
-    for name in (probe, "speed"):
-        np.testing.assert_allclose(log[name].values, 2 * np.pi * np.arange(30), rtol=1e-12)
+@pytest.mark.parametrize(("head", "row", "name"), [
+    ("Time (s),Speed (Hz),Fz (N)\n", "{t},{i},{i}", "speed"),
+    (STAND_HERTZ.format("Electrical"), "{t},1000,{i},{i}", "speed_electrical"),
+    (STAND_HERTZ.format("Optical"), "{t},1000,{i},{i}", "speed_optical"),
+])  # fmt: skip
+def test_a_speed_in_hertz_is_advised_to_be_revolutions(write, head, row, name):
+    path = write(head + row_lines(30, row))
+    refuses(path, f'declare units = {{{name} = "rev/s"}}', UnitError)
+    log = load(path, units={name: "rev/s"})
+    for channel in (name, "speed"):
+        np.testing.assert_allclose(log[channel].values, 2 * np.pi * np.arange(30), rtol=1e-12)
     assert "read in the declared unit 'rev/s'" in notes(log)
 
 

@@ -32,37 +32,27 @@ def test_broken_utf16_and_nul(write):
         read_text(Source(write("a,b\n1,2\n".encode("utf-16-le"))))
 
 
-def test_a_quote_never_runs_past_its_line(write):
-    path = write('a,b\n1,"2\n3,4\n')
-    numbers = numbers_of(path)
-    np.testing.assert_array_equal(numbers.columns[1], [2, 4])
+NAN = np.nan
 
 
-def test_comment_and_blank_lines_keep_line_numbers(write):
-    numbers = numbers_of(write("\n# made by hand\na,b\n1,2\n\n# note, with, commas\n 3 ,4\n\n# end\n"))
-    np.testing.assert_array_equal(numbers.lines, [4, 7])
-    np.testing.assert_array_equal(numbers.columns[0], [1, 3])
-
-
-def test_short_rows_are_missing_and_a_cut_last_line_is_left_out(write):
-    numbers = numbers_of(write("a,b,c\n1,2,3\n4,5\n6,7,8\n9,1"))
-    np.testing.assert_array_equal(numbers.columns[0], [1, np.nan, 6])
-    assert any("line 5, the last, is cut" in note for note in map(str, numbers.notes))
-    assert any("line 3" in note for note in map(str, numbers.notes))
-
-
-def test_last_line_without_end_is_kept_and_noted(write):
-    numbers = numbers_of(write("a,b\n1,2\n3,4"))
-    np.testing.assert_array_equal(numbers.columns[1], [2, 4])
-    assert numbers.open_end
-    assert any("may be cut" in note for note in map(str, numbers.notes))
-
-
-def test_infinite_is_missing(write):
-    numbers = numbers_of(write("a,b\n1,inf\n1e999,4\n"))
-    np.testing.assert_array_equal(numbers.columns[0], [1, np.nan])
-    np.testing.assert_array_equal(numbers.columns[1], [np.nan, 4])
-    assert any("infinite number: 2" in note for note in map(str, numbers.notes))
+@pytest.mark.parametrize(("content", "lines", "columns", "said"), [
+    # A quote never runs past its line; comments and blank lines are counted.
+    ('a,b\n1,"2\n3,4\n', [2, 3], [[1, 3], [2, 4]], ()),
+    ("\n# by hand\na,b\n1,2\n\n# note, with, commas\n 3 ,4\n\n# end\n", [4, 7], [[1, 3], [2, 4]], ()),
+    # A short row is missing, and a cut last line is left out; one without its end alone is kept.
+    ("a,b,c\n1,2,3\n4,5\n6,7,8\n9,1", [2, 3, 4], [[1, NAN, 6], [2, NAN, 7], [3, NAN, 8]],
+     ("line 5, the last, is cut", "rows with fewer than 3 cells: 1 (first: line 3)")),
+    ("a,b\n1,2\n3,4", [2, 3], [[1, 3], [2, 4]],
+     ("line 3, the last, has no line end: its last number may be cut",)),
+    ("a,b\n1,inf\n1e999,4\n", [2, 3], [[1, NAN], [NAN, 4]], ("infinite number: 2",)),
+])  # fmt: skip
+def test_rows_of_a_table(write, content, lines, columns, said):
+    numbers = numbers_of(write(content))
+    np.testing.assert_array_equal(numbers.lines, lines)
+    np.testing.assert_array_equal(numbers.stacked(numbers.columns).T, columns)
+    assert numbers.open_end == any("may be cut" in words for words in said)
+    for words in said:
+        assert any(words in str(note) for note in numbers.notes)
 
 
 @pytest.mark.parametrize("count", [0, 199, 200, 700])

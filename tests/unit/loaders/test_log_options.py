@@ -88,31 +88,30 @@ def test_another_kind_of_campaign_can_be_registered(tmp_path, monkeypatch):
         campaign(tmp_path, text.replace('"wing"', '"sail"'))
 
 
-@pytest.mark.parametrize(("text", "sentence"), [
-    (MOTOR.format(log="", trial="log_options = { rat = '5 kHz' }"),
+@pytest.mark.parametrize(("text", "log", "trial", "sentence"), [
+    (MOTOR, "", "log_options = { rat = '5 kHz' }",
      "unknown key trials['t'].log_options.rat; nearest known key is 'rate'"),
-    (MOTOR.format(log="", trial="second_log = { log = 'b.csv', pulses_per_rev = 2 }"),
+    (MOTOR, "", "second_log = { log = 'b.csv', pulses_per_rev = 2 }",
      "unknown key trials['t'].second_log.pulses_per_rev; nearest known key is 'pulses_per_revolution'"),
-    (MOTOR.format(log="", trial="second_log = { rate = '5 Hz' }"), "trials['t'].second_log.log is missing"),
-    (MOTOR.format(log="transform = { dq = '1 mm' }", trial=""),
+    (MOTOR, "", "second_log = { rate = '5 Hz' }", "trials['t'].second_log.log is missing"),
+    (MOTOR, "transform = { dq = '1 mm' }", "",
      "unknown key log.transform.dq; known keys are dx, dy, dz, rx, ry, rz"),
-    (MOTOR.format(log="transform = { dx = '1 N' }", trial=""), "log.transform.dx: unit 'N' is not a 'm'"),
-    (MOTOR.format(log="units = { thrust = 'gff' }", trial=""), "log.units.thrust: unknown unit 'gff'"),
-    (MOTOR.format(log="pulses_per_revolution = 0", trial=""), "log.pulses_per_revolution: "),
-    (MOTOR.format(log="columns = 7", trial=""), "log.columns: expected { speed = "),
-    (MOTOR.format(log="tare = '1 N'", trial=""), "log.tare: unit 'N' is not a 's'"),
-    (GEAR.format(capture="bodys = { a = ['b'] }", trial=""),
-     "unknown key capture.bodys; nearest known key is 'bodies'"),
-    (GEAR.format(capture="bodies = { a = 'b' }", trial=""), "capture.bodies.a: expected a list"),
-    (GEAR.format(capture="", trial="log_options = { lenght_unit = 'mm' }"),
+    (MOTOR, "transform = { dx = '1 N' }", "", "log.transform.dx: unit 'N' is not a 'm'"),
+    (MOTOR, "units = { thrust = 'gff' }", "", "log.units.thrust: unknown unit 'gff'"),
+    (MOTOR, "pulses_per_revolution = 0", "", "log.pulses_per_revolution: "),
+    (MOTOR, "columns = 7", "", "log.columns: expected { speed = "),
+    (MOTOR, "tare = '1 N'", "", "log.tare: unit 'N' is not a 's'"),
+    (GEAR, "bodys = { a = ['b'] }", "", "unknown key capture.bodys; nearest known key is 'bodies'"),
+    (GEAR, "bodies = { a = 'b' }", "", "capture.bodies.a: expected a list"),
+    (GEAR, "", "log_options = { lenght_unit = 'mm' }",
      "unknown key trials['t'].log_options.lenght_unit; nearest known key is 'length_unit'"),
-    (GEAR.format(capture="", trial="rigid_body = 'a'\nlog_options = { rigid_body = 'b' }"),
+    (GEAR, "", "rigid_body = 'a'\nlog_options = { rigid_body = 'b' }",
      "trial 't': rigid_body is given twice"),
-    (GEAR.format(capture="clock = 'later'", trial=""), "capture.clock: "),
+    (GEAR, "clock = 'later'", "", "capture.clock: "),
 ])  # fmt: skip
-def test_a_typo_is_one_sentence(tmp_path, text, sentence):
+def test_a_typo_is_one_sentence(tmp_path, text, log, trial, sentence):
     with pytest.raises(CampaignError) as caught:
-        campaign(tmp_path, text)
+        campaign(tmp_path, text.format(log=log, capture=log, trial=trial))
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "tuple[" not in str(caught.value)
