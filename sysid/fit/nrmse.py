@@ -28,7 +28,7 @@ from sysid.fit.trial import ComparedChannel
 from sysid.parallel import in_threads
 from sysid.types import BoolArray, FloatArray
 
-__all__ = ["FAILED_NRMSE", "CostChannel", "FilteredNrmse", "PopulationCost", "TrialTarget", "spread"]
+__all__ = ["FAILED_NRMSE", "CostChannel", "FilteredNrmse", "TrialTarget", "spread"]
 
 Denominator = Literal["std", "range"]
 
@@ -88,25 +88,6 @@ class TrialTarget:
     rate: float = 1.0
     taps: FloatArray | None = None
     delivered: BoolArray | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class PopulationCost:
-    """What a population scores.
-
-    Parameters
-    ----------
-    cost : (P,) array
-        Weighted mean over channels, then mean over trials [1]. Finite.
-    by_channel : (P, T, C) array
-        NRMSE per candidate, trial and channel [1]; a penalty in every channel of a failed trial.
-    failed : (P, T) bool array
-        Simulations that failed.
-    """
-
-    cost: FloatArray
-    by_channel: FloatArray
-    failed: BoolArray
 
 
 def divisor(
@@ -266,8 +247,8 @@ class FilteredNrmse(WeightedNrmse):
 
     def __call__(
         self, samples: FloatArray, reached: FloatArray | None = None, threads: int | None = None
-    ) -> PopulationCost:
-        """Score samples (P, n_total, n_columns), simulated on each recording's clock [SI].
+    ) -> tuple[FloatArray, BoolArray]:
+        """Return NRMSE (P, T, C) [1] and failure (P, T) of simulated samples (P, n_total, n_columns) [SI].
 
         `reached` (P, T) is the share of the trial that was simulated [1], by default 1. A trial failed where
         that is below 1, or from its first sample on that is not finite; it scores
@@ -286,7 +267,7 @@ class FilteredNrmse(WeightedNrmse):
             self._left, self._right, self._share, self._column, self._is_rate,
             self._measured, self._valid, self.denominators, self.weights, by_channel, failed,
         )  # fmt: skip
-        return PopulationCost(self.mean(by_channel), by_channel, failed)
+        return by_channel, failed
 
     def prepared(self, samples: FloatArray) -> tuple[FloatArray, ...]:
         """Return, per trial, the signals that are compared: (P, n_window, C) [channel units]."""

@@ -215,8 +215,7 @@ class GearProblem(Problem):
 
     def judge_samples(self, samples: FloatArray, result: PopulationSamples) -> Scores:
         """Score what `simulate` returned, with all penalties."""
-        scored = self.cost(samples, result.reached, self.threads)
-        failed = scored.failed
+        by_channel, failed = self.cost(samples, result.reached, self.threads)
         cause = np.zeros(failed.shape, dtype=np.int8)
         for status, number in _OF_STATUS.items():
             cause[failed & (result.status == status)] = number
@@ -243,7 +242,7 @@ class GearProblem(Problem):
                 cause[left, d] = _LEFT_BOARD
         # A failed simulation has scored its penalty.
         missing[failed] = 0.0
-        return Scores(scored.by_channel + FAILED_NRMSE * missing[:, :, None], cause)
+        return Scores(by_channel + FAILED_NRMSE * missing[:, :, None], cause)
 
     def simulate(
         self, rows: FloatArray, body_states: FloatArray | None = None

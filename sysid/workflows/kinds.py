@@ -64,8 +64,8 @@ def register(kind: Kind, report: str = _ANY_REPORT) -> None:
     ...         return replace(self, prepared=tuple(t for t in self.prepared if t.name in names))
     ...     def predict(self, rows):
     ...         signals = tuple(np.exp(-rows[:, :1] * trial.time)[:, :, None] for trial in self.trials)
-    ...         scored = self.cost(np.concatenate(signals, axis=1))
-    ...         return Prediction(scored.by_channel, scored.failed.astype(np.int8), signals)
+    ...         by_channel, failed = self.cost(np.concatenate(signals, axis=1))
+    ...         return Prediction(by_channel, failed.astype(np.int8), signals)
     >>> def read(campaign, path, threads):
     ...     trials = []
     ...     for entry in campaign.trials:

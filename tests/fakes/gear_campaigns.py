@@ -1,11 +1,11 @@
 """Synthesized campaigns of drops, as tests open and change them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
 from sysid.campaign import read_campaign
-from sysid.fit.nrmse import PopulationCost
 from sysid.gear.drops import prepare_drops
 from sysid.gear.model import PARAMETERS
 from sysid.gear.problem import GearProblem, gear_space
@@ -37,7 +37,8 @@ def score_values(campaign, drops, values, **options):
     problem = GearProblem(campaign, gear_space(campaign), drops, **options)
     known = dict(zip(problem.space.table, problem.base, strict=True)) | values
     scored = problem.score(np.array([[known[name] for name in PARAMETERS]]))
-    return PopulationCost(problem.cost.mean(scored.by_channel), scored.by_channel, scored.cause > 0)
+    cost = problem.cost.mean(scored.by_channel)
+    return SimpleNamespace(cost=cost, by_channel=scored.by_channel, failed=scored.cause > 0)
 
 
 def on_board(problem, length):

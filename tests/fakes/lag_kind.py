@@ -68,8 +68,8 @@ class LagProblem(Problem):
         gain, tau, offset = (rows[:, i, None] for i in range(3))
         out = [offset + gain * log[0].step * (1 - np.exp(-log[1] / tau)) for log in self.logs_read]
         signals = tuple(y[:, :, None] for y in out)
-        found = self.cost(np.concatenate(signals, axis=1), threads=self.threads)
-        return Prediction(found.by_channel, found.failed.astype(np.int8), signals)
+        by_channel, failed = self.cost(np.concatenate(signals, axis=1), threads=self.threads)
+        return Prediction(by_channel, failed.astype(np.int8), signals)
 
 
 def open_lag(campaign, path, threads):
