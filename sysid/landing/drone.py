@@ -28,7 +28,6 @@ from sysid.motor.pair_thrust import thrust_history
 from sysid.parameter_sets import ParameterSets, RankedSet
 
 Pairing = Literal["each", "best"]
-PAIRINGS: tuple[Pairing, ...] = ("each", "best")
 # Number of equal motors that share a command at each end of the body.
 MOTORS_PER_PAIR = 2
 # Time for which the thrust is computed after the last command [s], constant from then on: ten

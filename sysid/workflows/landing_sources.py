@@ -16,7 +16,7 @@ from sysid.fit.progress import LiveBlock
 from sysid.fit.stopping import stop_on_interrupt
 from sysid.journal import notice, tell
 from sysid.landing.controllers import Controller, Sensing, find_controller, load_controllers
-from sysid.landing.drone import PAIRINGS, drones
+from sysid.landing.drone import drones
 from sysid.landing.maps import Fleets
 from sysid.parallel import executor
 from sysid.parameter_sets import ParameterSets
@@ -68,8 +68,6 @@ def open_fleets(
 
     Raises `SysidError` when sets cannot be used, or two gear files have one surface.
     """
-    if motors.pair not in PAIRINGS:
-        raise CampaignError(f"--pair {motors.pair!r}: expected one of {', '.join(PAIRINGS)}")
     motor = load_sets(motors.motor)
     loaded = [load_sets(path) for path in gears]
     fleets = tuple(drones(gear, motor, motors.pair) for gear in loaded)

@@ -197,7 +197,7 @@ class ReversalOptions:
 
     `minimum`, `neutral` and `maximum` are full reverse, rest and full forward in the log's command unit.
     Their defaults are 1000, 1500 and 2000 µs, or -1, 0 and 1. `forward_half` replaces them for bidirectional
-    DShot. Fast logs are low-passed with the stop-band edge `stop_edge` [Hz].
+    DShot.
     """
 
     command_unit: Annotated[str | None, Flag("Unit of the command, if not the log's: us, dshot or 1.")] = None
@@ -207,7 +207,6 @@ class ReversalOptions:
     sense: Annotated[
         Literal["to-reverse", "to-forward", "both"], Flag("Time the reversals in this direction.")
     ] = "to-reverse"
-    stop_edge: float = 100.0
     slow: Annotated[float, Flag("A reversal slower than this multiple of the fastest is an outlier.")] = 1.5
     thrust_sign: Annotated[float, Flag("1, or -1 where the log's thrust is positive in reverse.")] = 1.0
     forward_half: Annotated[

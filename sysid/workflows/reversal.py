@@ -35,6 +35,8 @@ from sysid.trials.steady import steady_points, zero_of_steady
 from sysid.types import BoolArray, FloatArray
 from sysid.workflows.options import ReversalOptions
 
+# Stop-band edge of the low-pass of fast logs [Hz].
+_STOP_EDGE = 100.0
 # A log is filtered when it has this many samples per period of the stop-band edge.
 _FAST = 10.0
 # The channel whose clock serves, where channels have different clocks.
@@ -142,7 +144,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     u = np.where(np.abs(u) <= JITTER, 0.0, u)
     steps = held_commands(command_steps(time, u))
     rate = 1.0 / float(np.median(np.diff(time)))
-    fast = rate >= _FAST * options.stop_edge
+    fast = rate >= _FAST * _STOP_EDGE
     speed = recording["speed"] if "speed" in recording.channels else None
     zero = tare(thrust.values, rows_at_rest(time, u, None if speed is None else speed.values))
     notes = list(recording.provenance.notes)
@@ -153,7 +155,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     forces = (thrust.time[keep], options.thrust_sign * (thrust.values[keep] - zero.value))
     turns = None if speed is None else (speed.time[speed.valid], speed.values[speed.valid])
     if fast:
-        lowpass = ChebyshevLowpass(rate, options.stop_edge)
+        lowpass = ChebyshevLowpass(rate, _STOP_EDGE)
         forces = _known(uniform_filtered(*forces, lowpass, f"{where}, thrust"))
         turns = None if turns is None else _known(uniform_filtered(*turns, lowpass, f"{where}, speed"))
     else:

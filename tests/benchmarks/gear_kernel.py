@@ -1,12 +1,12 @@
-"""Time and error of the gear's kernel beside scipy, SUNDIALS and MuJoCo, the latter two where installed.
+"""Time and error of the gear's kernel beside scipy's LSODA and Radau.
 
 Run ``python tests/benchmarks/gear_kernel.py [--json PATH] [--population N] [--lanes] [--cold]``. Six
 drops of 0.7 s sampled every 5 ms; error is the mean NRMSE over x, z, q, vx, vz against a converged run. Each
-method of another library gets, per drop, its loosest relative tolerance that keeps 0.1 % there; MuJoCo, whose
-contact law is another one, steps of 1 ms. Times are CPU time of the calling thread, best of several, so that
-other work on the machine disturbs the ratios little; drops/s over all threads is wall-clock time. A library's
-ratio is the geometric mean over the drops, beside the least. ``--cold`` compiles each surface in a process of
-its own with an empty cache and prints the processor time and the peak memory of that.
+method of scipy gets, per drop, its loosest relative tolerance that keeps 0.1 % there. Times are CPU time of
+the calling thread, best of several, so that other work on the machine disturbs the ratios little; drops/s
+over all threads is wall-clock time. A method's ratio is the geometric mean over the drops, beside the least.
+``--cold`` compiles each surface in a process of its own with an empty cache and prints the processor time and
+the peak memory of that.
 
 What bounds a random population (100 candidates on the six drops, AMD of family 26, one thread, against the
 kernel at ac9ff87): 12.1 instead of 9.3 thousand drops per processor second on low friction, 9.5 instead of
@@ -32,7 +32,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from fakes.gear_drops import SIX, level_drops
-from gear_rivals import installed, mujoco_drop, scipy_drop, sundials_drop
+from gear_rivals import scipy_drop
 from paired import LIMIT, best, mean_nrmse, measured, memory, write_json
 from sysid.gear import model
 from sysid.gear.kernel.driver import drop_driver
@@ -83,7 +83,7 @@ def throughput(surface, drops, population):
     return out
 
 
-GOALS = {"LSODA": 500, "MuJoCo": 45}
+GOALS = {"LSODA": 500}
 COLD = """
 import json, sys, time
 from pathlib import Path
@@ -126,24 +126,9 @@ def each_drop(drops, population, surface):
         yield (drops.slope[d], drops.body_state[d], drops.time[d]), part, entry
 
 
-def high_friction(drops, population):
-    """The same drops on high friction: our time in lanes and its error, and MuJoCo's time over ours."""
-    out = []
-    for start, exact, entry in each_drop(drops, population, "hf"):
-        if installed("mujoco"):
-            rival = mujoco_drop(*start, exact, "hf")
-            entry["mujoco_ratio"] = rival["seconds"] / entry["lanes"]["seconds"]
-        out.append(entry)
-    return out
-
-
 def low_friction(drops, population):
     """Our times and errors in lanes and alone, and each library's, over ours."""
     rivals = {name: lambda *a, n=name: scipy_drop(n, *a) for name in ("LSODA", "Radau")}
-    if installed("sksundae"):
-        rivals["CVODE"] = sundials_drop
-    if installed("mujoco"):
-        rivals["MuJoCo"] = mujoco_drop
     out, row = [], pack({})
     for start, exact, entry in each_drop(drops, population, "lf"):
         spent, alone = best(lambda start=start: simulate(row, *start), 20)
@@ -209,17 +194,13 @@ def main():
             f"{name}: {part['lanes']:.0f} x lanes (least {part['least lanes']:.0f}){goal}; "
             f"{part['scalar']:.1f} x scalar (least {part['least scalar']:.1f}); geometric means"
         )
-    high = high_friction(drops, arguments.population)
+    high = [entry for _, _, entry in each_drop(drops, arguments.population, "hf")]
     for entry in high:
-        beside = f", MuJoCo {entry['mujoco_ratio']:.0f} x" if "mujoco_ratio" in entry else ""
         seconds, error = entry["lanes"]["seconds"], entry["lanes"]["error"]
         print(
             f"hf {entry['slope_deg']} deg {entry['speed']} m/s: {1e3 * seconds:.4f} ms in lanes, "
-            f"error {100 * error:.3f} %{beside}"
+            f"error {100 * error:.3f} %"
         )
-    if "mujoco_ratio" in high[0]:
-        ratio = float(np.exp(np.mean(np.log([entry["mujoco_ratio"] for entry in high]))))
-        print(f"hf MuJoCo: {ratio:.0f} x lanes, goal {GOALS['MuJoCo']} (geometric mean)")
     peak = memory() / 2**20
     print(f"peak memory of this run: {peak:.0f} MB")
     cold = {surface: cold_compile(surface) for surface in SURFACES} if arguments.cold else {}

@@ -1,27 +1,17 @@
-"""The gear in other people's integrators: scipy, SUNDIALS (scikit-sundae) and MuJoCo, where installed.
+"""The gear in scipy's integrators, which get our compiled right-hand side: only the stepping is compared."""
 
-scipy and SUNDIALS get our compiled right-hand side, so that only the stepping is compared; MuJoCo its own
-model of the same bodies, springs and slope, with its own (soft) contact law and friction.
-"""
-
-import importlib.util
 import math
 
 import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from paired import best, loosest, mean_nrmse
+from paired import loosest
 from sysid.gear.kernel import parameter_row
 from sysid.gear.kernel.dynamics import accelerations, derived, feet, pose
 from sysid.gear.kernel.geometry import normal_force
-from sysid.gear.model import PARAMETERS, parameters_on
+from sysid.gear.model import PARAMETERS
 from sysid.gear.surfaces.low_friction import low_friction
-
-
-def installed(name):
-    """Whether an optional library is here."""
-    return importlib.util.find_spec(name) is not None
 
 
 @njit(error_model="numpy")
@@ -102,112 +92,3 @@ def scipy_drop(method, slope, body, clock, exact):
         return (back(run.y.T), int(run.nfev)) if run.y.shape[1] == len(clock) else None
 
     return loosest(attempt, exact, 2)
-
-
-def sundials_drop(slope, body, clock, exact):
-    """Measure SUNDIALS' CVODE (BDF, dense) on a drop."""
-    from sksundae.cvode import CVODE
-
-    right_hand_side, start, back = problem(slope, body)
-    count = [0]
-
-    def rates(t, y, out):
-        count[0] += 1
-        out[:] = right_hand_side(t, y)
-
-    def attempt(rtol):
-        count[0] = 0
-        solver = CVODE(rates, method="BDF", rtol=rtol, atol=rtol * 1e-2, max_num_steps=100_000)
-        run = solver.solve(clock, start)
-        return (back(np.asarray(run.y)), count[0]) if len(run.t) == len(clock) else None
-
-    return loosest(attempt, exact, 2)
-
-
-def mujoco_model(slope, surface="lf"):
-    """MuJoCo's model of the planar drone on two sprung legs, step of 1 ms."""
-    import mujoco
-
-    p = parameters_on(surface).nominal
-    span, depth = p["foot_dx"] - p["joint_dx"], p["foot_dz"] - p["joint_dz"]
-    length, rest = math.hypot(span, depth), math.atan2(span, depth)
-    bend = f'stiffness="{p["leg_bending_stiffness"]}" damping="{p["leg_bending_damping"]}"'
-    slide = f'stiffness="{p["leg_axial_stiffness"]}" damping="{p["leg_axial_damping"]}"'
-    legs = ""
-    for name, side in (("rear", 1), ("front", -1)):
-        legs += f"""
-    <body name="{name}" pos="{-side * p["joint_dx"]} 0 {-p["joint_dz"]}" euler="0 {side * rest} 0">
-      <joint type="hinge" axis="0 1 0" {bend}/>
-      <joint type="slide" axis="0 0 -1" {slide}/>
-      <inertial pos="0 0 {-0.5 * length}" mass="{p["leg_mass"]}" diaginertia="2e-4 2e-4 2e-4"/>
-      <geom type="sphere" size="0.001" pos="0 0 {-length + 0.001}" mass="0" contype="1" conaffinity="2"
-            friction="{p["kinetic_friction"]} 0 0" solref="-{p["ground_stiffness"]} -1"/>
-    </body>"""
-    text = f"""
-<mujoco>
-  <compiler angle="radian"/>
-  <option timestep="0.001" gravity="0 0 -{p["gravity"]}" integrator="implicitfast"/>
-  <worldbody>
-    <geom type="plane" size="5 5 1" euler="0 {slope} 0" contype="2" conaffinity="1"
-          friction="{p["kinetic_friction"]} 0 0" solref="-{p["ground_stiffness"]} -1"/>
-    <body name="drone">
-      <joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/><joint type="hinge" axis="0 1 0"/>
-      <inertial pos="0 0 0" mass="{p["body_mass"]}" diaginertia="0.0137 0.0137 0.0137"/>{legs}
-      <site name="rear" pos="-{p["thrust_point_dx"]} 0 0"/>
-      <site name="front" pos="{p["thrust_point_dx"]} 0 0"/>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor site="rear" gear="0 0 1 0 0 0"/><motor site="front" gear="0 0 1 0 0 0"/>
-  </actuator>
-</mujoco>"""
-    return mujoco.MjModel.from_xml_string(text)
-
-
-def _begin(model, data, body):
-    import mujoco
-
-    mujoco.mj_resetData(model, data)
-    data.qpos[:3] = body[:3]
-    data.qvel[:3] = body[3:]
-
-
-def mujoco_landing(slope, body, propulsion, horizon):
-    """Processor time [s] of a powered landing in MuJoCo at steps of 1 ms, thrust set at every step."""
-    import mujoco
-
-    model = mujoco_model(slope)
-    data = mujoco.MjData(model)
-    clock = np.arange(round(horizon / 1e-3)) * 1e-3
-    thrust = np.column_stack([propulsion.rear(clock), propulsion.front(clock)])
-
-    def run():
-        _begin(model, data, body)
-        command = data.ctrl
-        for now in thrust:
-            command[:] = now
-            mujoco.mj_step(model, data)
-
-    return best(run, 3)[0]
-
-
-def mujoco_drop(slope, body, clock, exact, surface="lf"):
-    """Measure MuJoCo at steps of 1 ms on a drop; its error is the distance of its contact law from ours."""
-    import mujoco
-
-    model = mujoco_model(slope, surface)
-    data = mujoco.MjData(model)
-    steps = round(clock[-1] / 1e-3)
-    every = round((clock[1] - clock[0]) / 1e-3)
-
-    def run():
-        _begin(model, data, body)
-        out = np.empty((len(clock), 5))
-        for n in range(len(clock)):
-            out[n] = [*data.qpos[:3], *data.qvel[:2]]
-            if n < len(clock) - 1:
-                mujoco.mj_step(model, data, every)
-        return out
-
-    spent, out = best(run, 3)
-    return {"seconds": spent, "error": mean_nrmse(out, exact), "rtol": math.nan, "rhs": steps}

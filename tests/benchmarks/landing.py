@@ -1,4 +1,4 @@
-"""Landings per second: sysid's lanes against scipy's LSODA on the same right-hand side, and MuJoCo.
+"""Landings per second: sysid's lanes against scipy's LSODA on the same right-hand side.
 
 ``python tests/benchmarks/landing.py``; ``--maps`` computes Fig. 8 (four maps, five sets), ``--impulse`` one
 map of Fig. 9 (4.3 million combinations); ``--every 4`` takes every fourth slope and speed. Times are of
@@ -51,9 +51,8 @@ SAME = 5e-3
 def rivals(repeats):
     """One core, the same powered landings of Table II's means: how many a second, and the ratios.
 
-    LSODA gets our compiled right-hand side with the same thrust; MuJoCo its own contact law, 1 ms steps, and
-    the same thrust at every step (it has no motor with a dead band). Both run to the horizon of 3 s; sysid to
-    the horizon, and as its maps do, until the drone is at rest or flipped.
+    LSODA gets our compiled right-hand side with the same thrust and runs to the horizon of 3 s; sysid to the
+    horizon, and as its maps do, until the drone is at rest or flipped.
     """
     cells = grid(np.radians([5.0, 15.0, 25.0, 35.0]), [0.3, 0.6, 0.9, 1.2])
     drone = Drone({}, table_1().set_values(), "lf")
@@ -91,9 +90,6 @@ def rivals(repeats):
             exact = run.state[:, [0, 1, 2, 7, 8]]
             worst = max(worst, mean_nrmse(back(rival.sol(early).T), exact))
         spent["scipy LSODA, same right-hand side"] = cpu
-        if gear_rivals.installed("mujoco"):
-            times = [gear_rivals.mujoco_landing(c.slope, drone.start(c), thrust, 3.0) for c in some]
-            spent["MuJoCo, own contact law, 1 ms"] = float(np.mean(times))
         base = spent["sysid to 3 s"]
         for name, seconds in spent.items():
             print(f"  {name:<40} {1 / seconds:>10.0f} {1e3 * seconds:>9.3f} {seconds / base:>7.1f}")
