@@ -88,7 +88,7 @@ def c3d(path, points, *, labels=None, rate=100.0, unit="mm", residuals=None, ana
 
     ``trial`` is the first and the last frame that the TRIAL group states.
     """
-    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the test extra")
+    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the logs extra")
     frames, count, _ = points.shape
     file = ezc3d.c3d()
 

@@ -80,7 +80,7 @@ def marker_offset(drops, rotation):
 
 
 def test_drop_as_markers_in_a_c3d(drops):
-    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the test extra")
+    ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the logs extra")
     rate, first, _, rotation, points = seen(drops)
     file = ezc3d.c3d()
     file["parameters"]["POINT"]["RATE"]["value"] = [rate]
