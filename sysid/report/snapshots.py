@@ -47,13 +47,10 @@ def figure_snapshots(drop: DropReplay, *, legend: bool = False) -> Figure:
         axes.set(xlim=(x - 0.28, x + 0.28), ylim=(z - 0.25, z + 0.2))
         axes.set_title(f"({number}) {1e3 * time:.0f} ms", fontsize=9, loc="left")
     if legend:
-        names = {
-            NORMAL: "normal force",
-            FRICTION: "friction",
-            BODY: "simulated, best set",
-            GHOST: "measured body",
-        }
-        entries = [(colour, "line", words) for colour, words in names.items()]
+        entries = [
+            (NORMAL, "line", "normal force"), (FRICTION, "line", "friction"),
+            (BODY, "line", "simulated, best set"), (GHOST, "line", "measured body"),
+        ]  # fmt: skip
         draw_legend(figure, entries, "outside lower center", 2, fontsize=8)
     return figure
 
@@ -130,9 +127,10 @@ def film_bytes(drop: DropReplay, kind: str) -> bytes:
         axes.clear()
         i = drop.index(time)
         _draw_drone(axes, drop, i, i)
-        # The slope reaches both edges of the picture, whatever the shape of the window.
+        # The slope reaches both edges of the picture, whatever the shape of the window: x may be widened.
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        axes.set_xlim(low[0], high[0], auto=True)
+        axes.set_ylim(low[1], high[1])
         figure.suptitle(
             f"{drop.name}, {np.degrees(drop.slope):.0f}°, {1e3 * time:4.0f} ms, {SLOW:g} × slow motion\n"
             "normal force blue, friction red, measured grey",
