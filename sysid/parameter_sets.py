@@ -83,13 +83,13 @@ class Judged(Part):
     """Interval and verdict of one parameter [its unit]."""
 
     interval_95: Pair
-    # The data do not end the interval below, above: its end there is a bound of the search.
+    # Whether the lower and the upper end are open: the data end them nowhere inside the bounds of the search.
     open_95: Flags
     # "well" for a half-width below 0.1, "weakly" below 0.5, else "not_identifiable"; never "well" with a
     # doubt. "not_interpretable" where the model does not explain the trials and a bound cuts the parameter or
     # a partner.
     verdict: str
-    # Why the interval may miss the truth.
+    # Reason for which the interval may miss the truth.
     doubt: str | None = None
 
     @property
@@ -222,9 +222,9 @@ class SetsDocument(SetsHead):
 _SAME = ("kind", "name", "parameters", "settings", "provenance", "warnings")
 # Keys of a result's settings: numbers that the data determine only in combination, and those combinations.
 NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
-# Interval, open ends, verdict and doubt of every free parameter, where a fit was assessed.
+# Key of the settings: interval, open ends, verdict and doubt of every free parameter of an assessed fit.
 INTERVALS = "intervals"
-# How far noise explains what a fit leaves, see `sysid.fit.adequacy`.
+# Key of the provenance: residuals of the fit over the noise, see `sysid.fit.adequacy`.
 ADEQUACY = "adequacy"
 # Largest NRMSE over the best one [1] of a set that counts for the spread of a fit that was cut short.
 NEAR_BEST = 1.1
@@ -423,7 +423,7 @@ class RankedSet(dict[str, float]):
         return values
 
     def __reduce__(self) -> tuple[object, ...]:
-        # Copies are made from `sets`, then take what was changed.
+        # A copy starts as `sets` and then takes the changed values.
         return type(self), (self.sets, self.rank), None, None, iter(self.items())
 
     def __repr__(self) -> str:

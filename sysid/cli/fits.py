@@ -61,13 +61,13 @@ def fit_gear(
 def _fit(
     fit: Callable[..., tuple[FitResult, Path]], campaign: Path, options: FitOptions, strict: bool, json: bool
 ) -> int:
-    from sysid.workflows.show import is_unfinished, print_fit, stopped_by_user
+    from sysid.workflows.show import is_unfinished, print_fit
 
     tell = unless(options.quiet)
     result, folder = fit(campaign, replace(options, quiet=options.quiet or json), say=tell)
     if json or not options.quiet:
         print_fit(result, folder, json)
-    if stopped_by_user(result):
+    if result.provenance.get("cut_short") == "interrupted":
         return 130
     return FLAGGED if strict and is_unfinished(result) else 0
 

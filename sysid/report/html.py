@@ -130,27 +130,31 @@ def in_true_colours(piece: Html) -> Html:
     return Html(f'<div class="true">{piece.text}</div>')
 
 
-def unfoldable(summary: str, piece: Html, *, opened: bool = False, printed: bool = True) -> Html:
+def unfoldable(summary: str, piece: Html, *, printed: bool = True) -> Html:
     """Return a piece that a reader unfolds; printing shows it where it is `printed`."""
-    state = (" open" if opened else "") + ("" if printed else ' class="unprinted"')
+    state = "" if printed else ' class="unprinted"'
     return Html(f"<details{state}><summary>{html.escape(summary)}</summary>{piece.text}</details>")
 
 
-def picture(figure: Figure, alternative: str, caption: str = "", *, vector: bool = True) -> Html:
+def picture(figure: Figure, alternative: str, caption: str = "") -> Html:
     """Return a figure as an image inside the page, with a caption below.
 
-    It is drawn as vectors, or as pixels where vectors would be large or `vector` is off. The `alternative`
-    says in words what the figure shows.
+    It is drawn as vectors, or as pixels where vectors would be large. The `alternative` says in words what
+    the figure shows.
     """
     if not alternative.strip():
         raise ValueError("a figure needs a text alternative")
     width, height = (float(side) for side in figure.get_size_inches())
-    svg = _brief(figure_bytes(figure, "svg", _DPI)) if vector else ""
-    if vector and len(svg) <= _LARGEST_VECTOR:
+    svg = _brief(figure_bytes(figure, "svg", _DPI))
+    if len(svg) <= _LARGEST_VECTOR:
         source = f"data:image/svg+xml,{quote(svg, safe=_SAFE)}"
     else:
-        pixels = base64.b64encode(_few_colours(figure_bytes(figure, "png", _DPI))).decode("ascii")
-        source = f"data:image/png;base64,{pixels}"
+        from PIL import Image
+
+        few_colours = Image.open(io.BytesIO(figure_bytes(figure, "png", _DPI))).convert("RGB").quantize(64)
+        buffer = io.BytesIO()
+        few_colours.save(buffer, "PNG", optimize=True)
+        source = f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
     below = f"<figcaption>{html.escape(caption)}</figcaption>" if caption else ""
     size = f'width="{96 * width:.0f}" height="{96 * height:.0f}"'
     return Html(f'<figure><img src="{source}" alt="{html.escape(alternative)}" {size}>{below}</figure>')
@@ -165,14 +169,6 @@ def _brief(svg: bytes) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r">\s+<", "><", text)
     return text[text.index("<svg") :].strip().replace('"', "'")
-
-
-def _few_colours(png: bytes) -> bytes:
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.open(io.BytesIO(png)).convert("RGB").quantize(64).save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
 
 
 def markup_table(table: Table) -> Html:

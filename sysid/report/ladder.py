@@ -12,8 +12,10 @@ from sysid.report.drawing import panel
 from sysid.report.table import Cell, Table, number, numbers, percent, table, words
 from sysid.trust.documents import LadderDocument, LadderRung, TrustDocument
 
-# Least move of a parameter that is shown [1], and how many are.
-_LEAST, _MOST = 0.01, 4
+# Least relative move of a parameter that the table of moves names [1].
+_LEAST = 0.01
+# Number of moves that the table names of one term, the largest first.
+_MOST = 4
 
 
 def _rows(document: LadderDocument) -> list[tuple[str, LadderRung]]:

@@ -18,8 +18,11 @@ from sysid.report.diagrams import figure_geometry, figure_modes
 from sysid.report.html import Html, markup_table
 from sysid.report.table import listed
 
-# Table I as printed, and the rating it contradicts.
-_PRINTED_CONSTANT, _RATING_RPM_PER_VOLT = 0.099, 960.0
+# Constant k_v = k_t as printed in Table I [V·s/rad, N·m/A].
+_PRINTED_CONSTANT = 0.099
+# Rating of the same motor, which the printed constant contradicts [rpm/V].
+_RATING_RPM_PER_VOLT = 960.0
+# Reverse thrust that both limits of the paper's text imply [N].
 _REVERSE_THRUST = 12.0
 # Slope on which the paper's drone slides from rest on low friction [deg].
 _PAPER_SLIDES = 22.0

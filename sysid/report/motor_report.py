@@ -25,7 +25,7 @@ from sysid.report.motor_figures import (
 from sysid.report.plots import Panel, View, figure_of, interactive, printed
 from sysid.types import FloatArray
 
-# Reversals that paper shows.
+# Number of reversals on a printed page.
 _MOST_REVERSALS = 6
 _NO_POINTS = "The points are not shown: the campaign of the fit is not where it was."
 

@@ -88,13 +88,13 @@ def mean_table(*fits: ParameterSets) -> list[MeanRow]:
     rows: list[MeanRow] = []
     for name in dict.fromkeys(name for of_fit in known for name in of_fit):
         each = [of_fit.get(name) for of_fit in known]
-        told = [row for row in each if row and (row.found or row.record.status == "measured")]
+        stated = [row for row in each if row and (row.found or row.record.status == "measured")]
         measured: tuple[float, ...] = ()
-        for row in told:
+        for row in stated:
             measured = measured or (row.record.measured_range or ()) if row.found else (row.mean,)
-        if told:
+        if stated:
             fitted = tuple(row if row and row.found else None for row in each)
-            rows.append(MeanRow(told[0].record, measured, fitted))
+            rows.append(MeanRow(stated[0].record, measured, fitted))
     return rows
 
 

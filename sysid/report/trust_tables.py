@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from sysid.documents import channel_symbol, interval, rounded
-from sysid.parameter_sets import Judged, ParameterSets
+from sysid.fit.store import fit_folder
+from sysid.parameter_sets import Judged
 from sysid.report.fold import print_lines, print_result, print_table
-from sysid.report.set_tables import mean_sigma_table
 from sysid.report.table import (
     NONE,
     Cell,
@@ -44,7 +44,7 @@ from sysid.trust.documents import (
     ValidationDocument,
 )
 
-# Units of what excites a model; the other entries count.
+# Units of the entries of an excitation by name; an entry without a unit is a number of events.
 _UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "speed": "rad/s",
           "command": "of full"}  # fmt: skip
 # Least share of the information on a parameter that a named channel has [1].
@@ -364,7 +364,7 @@ def print_trust(document: TrustDocument, folder: Path, json: bool, *, long: bool
     """Print the intervals and verdicts of a fit, and where they are stored."""
     if print_result(document.printed(), json):
         return
-    folder = folder if folder.is_dir() else folder.parent
+    folder = fit_folder(folder)
     print_lines([f"{folder.name}:"])
     wide = [narrow_table(document), spread_table(document)] if long else []
     for part in (interval_table(document), *wide, noise_table(document)):
@@ -380,19 +380,5 @@ def print_validation(
     """Print a validation or cross-validation."""
     if print_result(document.printed(), json):
         return
-    folder = folder if folder.is_dir() else folder.parent
-    print_table(validation_table(folder.name, document))
+    print_table(validation_table(fit_folder(folder).name, document))
     print_lines(document.reasons or ["not flagged: the NRMSE is within what noise explains"])
-
-
-def print_comparison(
-    document: Comparison, sets: Sequence[ParameterSets], json: bool, page: Path | None = None
-) -> None:
-    """Print fits side by side, their differences and the cross-table, and where their page was written."""
-    if print_result(document.model_dump() | ({"page": str(page)} if page else {}), json):
-        return
-    print_table(mean_sigma_table(*sets))
-    print_table(comparison_table(document))
-    if document.cross is not None:
-        print_table(cross_table(document))
-    print_lines([*document.sentences, *([f"wrote {page}"] if page else [])])

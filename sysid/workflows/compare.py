@@ -11,7 +11,9 @@ import numpy as np
 from sysid.errors import ExportError, FitError
 from sysid.journal import Journal, Say
 from sysid.report.comparison_page import ComparedFit, OverlaidTrial, comparison_page
-from sysid.report.trust_tables import print_comparison
+from sysid.report.fold import print_lines, print_result, print_table
+from sysid.report.set_tables import mean_sigma_table
+from sysid.report.trust_tables import comparison_table, cross_table
 from sysid.storage import check_file, write_file
 from sysid.trust.comparison import Comparison, compare_values, unjudged
 from sysid.trust.documents import TrustDocument, with_intervals
@@ -32,7 +34,13 @@ def compare_and_print(
     document, compared = compare_fits(folders, cross=cross, threads=threads, say=say)
     if page is not None:
         write_file(page, comparison_page(document, compared).encode("utf-8"), ExportError)
-    print_comparison(document, [fit.sets for fit in compared], json, page)
+    if print_result(document.model_dump() | ({"page": str(page)} if page else {}), json):
+        return
+    print_table(mean_sigma_table(*(fit.sets for fit in compared)))
+    print_table(comparison_table(document))
+    if document.cross is not None:
+        print_table(cross_table(document))
+    print_lines([*document.sentences, *([f"wrote {page}"] if page else [])])
 
 
 def compare_fits(

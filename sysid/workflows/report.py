@@ -30,14 +30,11 @@ from sysid.workflows.predict import predict, predicted_fit
 from sysid.workflows.reopen import reopen
 
 
-def open_report(fit: str | Path, against: str | Path | None = None) -> FitReport:
-    """Read a fit for its report; `against` is a folder with the same sets on trials of another campaign.
-
-    Raises `FitError` when there is no fit.
-    """
+def open_report(fit: str | Path) -> FitReport:
+    """Read a fit for its report; FitError when there is none."""
     folder = fit_folder(Path(fit))
     result = documents.with_intervals(read_fit(fit), folder)
-    report: FitReport = find_report(result.kind)(folder, result, read_fit(against) if against else None)
+    report: FitReport = find_report(result.kind)(folder, result)
     return report
 
 
@@ -151,7 +148,7 @@ def second_fit(report: FitReport, folder: Path) -> FitReport:
             f"{folder}: is a {other.fit.kind} fit and {report.folder} a {report.fit.kind} fit; "
             "--compare needs two fits of one kind"
         )
-    # One name may be of two logs: the bytes of the log decide.
+    # Two logs may have one name: their bytes decide whether they are the same.
     known = _logs(report.fit)
     shared = tuple(
         t for t in other.fit.trials if t.name in known and known[t.name] == _logs(other.fit)[t.name]

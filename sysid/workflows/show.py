@@ -39,7 +39,7 @@ def print_sets(source: str | Path, json: bool) -> None:
     if json:
         print(sets.document().text(), end="")
         return
-    # A fit has said so when it was judged; its folder and files say it first.
+    # The fitting command ends with the verdict; a reader of the folder or file meets it first.
     if judged := sets.provenance.get(ADEQUACY):
         print_lines([judged["sentence"]], "" if judged["verdict"] == EXPLAINED_BY else "bold yellow")
     _print_tables(sets)
@@ -47,11 +47,6 @@ def print_sets(source: str | Path, json: bool) -> None:
     folder = fit_folder(path) if path.is_dir() or path.name == "fit.h5" else None
     if folder is not None and (climbed := LadderDocument.read(folder)):
         print_lines([f"ladder: {conclusion(climbed)[0]}; all of it: sysid report {folder}"])
-
-
-def stopped_by_user(result: FitResult) -> bool:
-    """Return whether Ctrl-C cut a fit short."""
-    return bool(result.provenance.get("cut_short") == "interrupted")
 
 
 def is_unfinished(result: FitResult) -> bool:

@@ -55,7 +55,7 @@ def test_pages_have_no_element_of_a_name(fitted):
     assert "&lt;script&gt;document.title" in text
     assert "{{ 7 * 7 }}" in text
     # A notebook shows the same sections.
-    report = open_report(fit, None)
+    report = open_report(fit)
     cells = Page(page("cells", joined([report.section(title) for title in report.section_titles()])))
     assert (cells.scripts, cells.handlers) == (expected.scripts, [])
 
