@@ -57,11 +57,6 @@ class CommandProtocol(TomlTable):
     neutral: float | None = None
     forward_half: Literal["low", "high"] | None = None
 
-    @property
-    def reversible(self) -> bool:
-        """Whether a command can turn the motor backward."""
-        return self.neutral is not None or self.forward_half is not None
-
     @model_validator(mode="after")
     def _ordered(self) -> CommandProtocol:
         if self.forward_half is not None:
@@ -170,7 +165,7 @@ class MotorCampaign(CampaignTable):
     @model_validator(mode="after")
     def _bidirectional_needs_neutral(self) -> MotorCampaign:
         forward = all(trial.direction == "forward" for trial in self.trials)
-        if not forward and not self.command.reversible:
+        if not forward and self.command.neutral is None and self.command.forward_half is None:
             raise ValueError(
                 "a reverse or reversal trial needs command.neutral, the command at rest, or "
                 "command.forward_half of bidirectional DShot"

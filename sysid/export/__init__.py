@@ -18,11 +18,6 @@ from sysid.storage import write_file
 __all__ = ["export", "load_parameter_sets"]
 
 
-def _from_json(data: bytes, place: object) -> ParameterSets:
-    document = SetsDocument.parse(data.decode("utf-8-sig"), place, ExportError)
-    return ParameterSets.from_document(document)
-
-
 _WRITERS = {
     ".json": lambda sets: sets.document().text().encode("utf-8"),
     ".csv": spreadsheet.to_csv,
@@ -74,20 +69,20 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
             f"{file}: cannot be read ({error.strerror}); expected a parameter-set file"
         ) from error
     text = data[3:] if data.startswith(b"\xef\xbb\xbf") else data
-    if data.startswith(binary.HDF5_SIGNATURE):
-        reader = binary.from_hdf5
-    elif data.startswith(binary.MAT_SIGNATURE):
-        reader = binary.from_mat
-    elif text.lstrip()[:1] == b"{":
-        reader = _from_json
-    elif text.startswith(spreadsheet.SIGNATURE):
-        reader = spreadsheet.from_csv
-    else:
-        raise ExportError(
-            f"{file}: neither JSON, CSV, HDF5 nor MAT of sysid; expected a file that sysid export wrote"
-        )
     try:
-        sets = reader(data, file)
+        if data.startswith(binary.HDF5_SIGNATURE):
+            sets = binary.from_hdf5(data, file)
+        elif data.startswith(binary.MAT_SIGNATURE):
+            sets = binary.from_mat(data, file)
+        elif text.lstrip()[:1] == b"{":
+            document = SetsDocument.parse(data.decode("utf-8-sig"), file, ExportError)
+            sets = ParameterSets.from_document(document)
+        elif text.startswith(spreadsheet.SIGNATURE):
+            sets = spreadsheet.from_csv(data, file)
+        else:
+            raise ExportError(
+                f"{file}: neither JSON, CSV, HDF5 nor MAT of sysid; expected a file that sysid export wrote"
+            )
     # Everything that a damaged file can make the libraries and the checks above raise.
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, OSError, EOFError) as error:
         first = next(iter(str(error).splitlines()), type(error).__name__)

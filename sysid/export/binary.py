@@ -91,15 +91,13 @@ def _assembled(metadata: SetsMetadata, arrays: dict[str, FloatArray]) -> Paramet
 def _field_names(names: tuple[str, ...]) -> dict[str, str]:
     """Return a valid and distinct MATLAB field name (letters, digits, _; 63 at most) for every name."""
     out: dict[str, str] = {}
-    taken: set[str] = set()
     for name in names:
         base = re.sub(r"[^A-Za-z0-9_]", "_", name)
         base = (base if re.match(r"[A-Za-z]", base) else f"x_{base}")[:63]
         field, count = base, 1
-        while field in taken:
+        while field in out.values():
             count += 1
             field = f"{base[:59]}_{count}"
-        taken.add(field)
         out[name] = field
     return out
 

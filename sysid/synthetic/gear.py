@@ -320,11 +320,15 @@ def _record(
         gaps = [(int(start), int(source.integers(1, 5))) for start in starts]
     flips = sorted(int(sample) for sample in source.integers(5, count - 5, size=2))
     body = observe(origin, rotation, noise, source, gaps=gaps, flips=flips)
-    board = _board_markers(truth.plan.slope, frame, hinge)
-    markers = {
-        name: place + lab.noise_position * source.standard_normal((count, 3))
-        for name, place in zip(_BOARD_MARKERS, board, strict=True)
-    }
+    slope = truth.plan.slope
+    along = np.array([math.cos(slope), 0.0, -math.sin(slope)])
+    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
+    markers = {}
+    # Places on the board: along the slope from the hinge, and across [m].
+    for name, (s, y) in zip(_BOARD_MARKERS, ((-0.62, -0.28), (-0.58, 0.30), (0.11, 0.27)), strict=True):
+        local = s * along + np.array([0.0, y, 0.0]) + _MARKER_HEIGHT * normal
+        shaken = lab.noise_position * source.standard_normal((count, 3))
+        markers[name] = hinge + local @ frame.matrix + shaken
     # Another rigid body lies about in the room.
     place = hinge + frame.matrix.T @ np.array([0.9, 0.7, 0.1])
     turn = Rotation.from_rotvec(np.tile([0.0, math.radians(37.0), 0.0], (count, 1)))
@@ -332,15 +336,6 @@ def _record(
     started = f"2024-03-0{1 + number % 7} 10.{10 + number % 50:02d}.07.412 AM"
     take = Take(f"drop-{number}", started, truth.first_frame, rate, {"wand": wand, _BODY: body}, markers)
     return take, {"occlusions": [list(gap) for gap in gaps], "sign_flips": flips}
-
-
-def _board_markers(slope: float, frame: CaptureFrame, hinge: FloatArray) -> FloatArray:
-    """Return (3, 3): centres of the markers on the board, capture axes [m]."""
-    along = np.array([math.cos(slope), 0.0, -math.sin(slope)])
-    normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
-    spots = ((-0.62, -0.28), (-0.58, 0.30), (0.11, 0.27))
-    local = [s * along + np.array([0.0, y, 0.0]) + _MARKER_HEIGHT * normal for s, y in spots]
-    return hinge + np.array(local) @ frame.matrix
 
 
 def _quantity(value: float, unit: str, scale: float = 1.0) -> str:
