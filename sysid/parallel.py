@@ -29,7 +29,8 @@ Columns = tuple[NDArray[Any], ...]
 
 # Least computing time of a chunk [s]: a scheduler spends a millisecond on it, a generation lasts longer.
 CHUNK_TIME = 0.06
-# Where few workers have much to do [s]: longer chunks save nothing, and a lost worker loses more.
+# Longest computing time of a chunk where few workers have much to do [s]: longer ones save nothing, and a
+# lost worker loses more.
 LONGEST_CHUNK_TIME = 0.25
 # Kernels compute several rows in the lanes of one core; fewer leave lanes empty.
 _LEAST_CHUNK = 8
@@ -42,7 +43,7 @@ _SHARES = 4
 ATTEMPTS = 6
 # How long to wait without any worker [s]; they may be on their way from a queue. First it is said.
 PATIENCE, SAID_AFTER = 120.0, 10.0
-# What they print of a lost connection says less than the refusal that follows.
+# Loggers whose lines on a lost connection say less than the refusal that follows.
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application", "asyncio")
 _LOOK = 2.0
 

@@ -10,7 +10,6 @@ position that is ten noise deviations off: the verdict is by the worse of the me
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -18,7 +17,8 @@ from pydantic import Field
 from sysid.documents import Part
 from sysid.fit.least_squares import EXPLAINED, noise_floor
 from sysid.fit.optima import beside_noise
-from sysid.fit.problem import Block, Problem
+from sysid.fit.problem import Problem
+from sysid.fit.trial import Block, nrmse_of
 from sysid.journal import Finding
 from sysid.parameters import in_words, with_unit
 from sysid.types import FloatArray
@@ -142,7 +142,7 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
     phases = [_phases(problem, t, row) for t in range(len(problem.trials))]
     noise = np.array([block.noise for block in blocks])
     weights = np.array([block.weight for block in blocks])
-    nrmse, left = (weights @ _levels(blocks, values) for values in (whole, rest))
+    nrmse, left = (weights @ nrmse_of(blocks, values) for values in (whole, rest))
     # Squares of residuals over noise, and samples, by channel, trial and phase.
     kinds = list(dict.fromkeys(name for names in phases for name in names))
     size = (len(problem.channels), len(problem.trials), len(kinds))
@@ -169,7 +169,7 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
         channel=problem.channels[channel],
         channel_ratio=by_channel[channel],
         phase=kinds[phase],
-        phase_ratio=_ratio(squares[channel, :, phase].sum(), counts[channel, :, phase].sum()),
+        phase_ratio=float(_ratio(squares[channel, :, phase].sum(), counts[channel, :, phase].sum())),
         trial=problem.names[trial],
         trial_ratio=by_trial[channel, trial],
     )
@@ -237,13 +237,8 @@ def _biases(problem: Problem, whole: FloatArray, rest: FloatArray) -> list[Bias]
     return sorted(out, key=lambda bias: -abs(bias.over_noise))
 
 
-def _levels(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:
-    """Return the NRMSE of every block (B,)."""
-    return np.array([np.sqrt(np.sum(residuals[b.start : b.stop] ** 2) / max(b.count, 1)) for b in blocks])
-
-
-def _ratio(squares: Any, counts: Any) -> Any:
-    return np.sqrt(squares / np.maximum(counts, 1))
+def _ratio(squares: FloatArray, counts: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))
 
 
 def _phases(problem: Problem, trial: int, row: FloatArray) -> list[str]:

@@ -23,24 +23,16 @@ def summed(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
 
 @dataclass(frozen=True, eq=False)
 class Generation:
-    """What one generation left behind, `number` from 1 within its stage.
-
-    Parameters
-    ----------
-    cube : (P, n_free) array
-        Population after the generation in the unit cube, best first [1].
-    cost : (P,) array
-        Its NRMSE [1].
-    failed : int
-        Candidates of this generation of which a simulation failed [1].
-    evaluations, simulations, elapsed, lowest
-        Since the run began [1]; wall time [s]; lowest NRMSE [1].
-    """
+    """What one generation left behind, `number` from 1 within its stage."""
 
     number: int
+    # (P, n_free) population after the generation in the unit cube, best first [1].
     cube: FloatArray
+    # (P,) NRMSE [1].
     cost: FloatArray
+    # Candidates of this generation of which a simulation failed [1].
     failed: int
+    # Candidates scored and simulations run since the run began [1], and its wall time [s].
     evaluations: int
     simulations: int
     elapsed: float
@@ -60,32 +52,22 @@ class Generation:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StageHistory(Brief):
-    """One algorithm's part of a run.
-
-    Parameters
-    ----------
-    cube : (G, P, n_free) array
-        Population after every generation in the unit cube, best first [1].
-    cost : (G, P) array
-        NRMSE [1].
-    failed : (G,) int array
-        Candidates scored in the generation of which a simulation failed [1].
-    evaluations, simulations : int
-        Candidates scored and simulations run in this stage [1].
-    wall_time : float
-        Of this stage [s].
-    causes : tuple of mapping
-        The failed candidates of every generation by cause [1]; empty where causes were not recorded.
-    """
+    """One algorithm's part of a run."""
 
     algorithm: str
+    # (G, P, n_free) population after every generation in the unit cube, best first [1].
     cube: FloatArray
+    # (G, P) NRMSE [1].
     cost: FloatArray
+    # (G,) candidates scored in the generation of which a simulation failed [1].
     failed: IntArray
+    # Candidates scored and simulations run in this stage [1].
     evaluations: int
     simulations: int
+    # Wall time of this stage [s].
     wall_time: float
     stop_reason: StopReason
+    # The failed candidates of every generation by cause [1]; empty where causes were not recorded.
     causes: tuple[Mapping[str, int], ...] = ()
 
     @property

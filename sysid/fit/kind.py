@@ -51,32 +51,22 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class FitOutcome:
-    """What a kind makes of the ranked sets of a fit.
+    """What a kind makes of the ranked sets of a fit."""
 
-    Parameters
-    ----------
-    sets : RankedSets
-        In their final order.
-    rows : (S, n_table) array
-        With which the trials are scored [SI].
-    records : tuple of ParameterRecord
-        One per column of `values`.
-    values, at_bound, nrmse, settings : arrays, mapping
-        As in `FitResult`.
-    provenance : mapping
-        Beside the keys of every fit.
-    cut : {"interrupted", "time"} or None
-        What cut the search or the follow-up short.
-    """
-
+    # Sets in their final order.
     sets: RankedSets
+    # (S, n_table) rows with which the trials are scored [SI].
     rows: FloatArray
+    # One per column of `values`.
     records: tuple[ParameterRecord, ...]
+    # The same as in `FitResult`.
     values: FloatArray
     at_bound: NDArray[np.int8]
     nrmse: FloatArray
     settings: Mapping[str, Any] = field(default_factory=dict)
+    # Further keys of the fit's provenance.
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    # Reason that cut the search or the follow-up short.
     cut: CutReason | None = None
 
 
@@ -88,18 +78,10 @@ def _as_found(problem: Problem, course: Course) -> FitOutcome:
     return FitOutcome(sets, sets.values, records, sets.values, sets.at_bound, sets.cost, cut=course.cut)
 
 
-def _as_stated(campaign: Any, settings: Mapping[str, Any]) -> tuple[Any, tuple[Finding, ...]]:
-    return campaign, ()
-
-
 def _begin(problem: Problem) -> None:
     count = len(problem.fitted.trials)
     free = ", ".join(problem.space.names)
     tell(f"{count} trials to fit, {len(problem.trials) - count} to validate; free: {free}")
-
-
-def _no_candidates(fitted: Problem, row: FloatArray) -> tuple[Problem, Sequence[str]] | None:
-    return None
 
 
 @dataclass(frozen=True)
@@ -115,45 +97,33 @@ class Term:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of model.
+    """A kind of model."""
 
-    Parameters
-    ----------
-    name : str
-        As campaign files and results state it.
-    campaign : type
-        Of the campaign file; a subclass of `sysid.campaign.common.CampaignTable` with the tables ``fit`` and
-        ``cost``.
-    open : callable
-        (campaign, path, threads) -> the problem of all its trials.
-    begin : callable
-        (problem of all trials) -> None: refuses early what could not be fitted, tells what is fitted.
-    follow_up : callable
-        (problem of all trials, `Course`) -> `FitOutcome`.
-    candidates : callable
-        (fitted problem, row (n_table,) [SI]) -> (problem with one trial per recording that could be made
-        next, their titles), or None.
-    under : callable
-        (campaign, settings of a fit) -> (the campaign under the law of that fit, what is noticed).
-    terms : tuple of Term
-        Physics on trial, see `sysid.trust.ladder`.
-    simpler : callable
-        (fitted problem) -> (title, simpler model of the same trials) pairs that the ladder compares.
-    laws : tuple of str
-        Settings that a user may state instead of the campaign's; `under` reads them.
-    story : type of Story
-        Makes the descriptions of a problem's trials.
-    """
-
+    # Name that campaign files and results state.
     name: str
+    # Model of the campaign file: a subclass of `sysid.campaign.common.CampaignTable` with the tables ``fit``
+    # and ``cost``.
     campaign: type
+    # (campaign, path, threads) -> the problem of all its trials.
     open: Callable[[Any, Path, int | None], Problem]
+    # (problem of all trials) -> None: refuses early what could not be fitted, tells what is fitted.
     begin: Callable[[Any], None] = _begin
+    # (problem of all trials, `Course`) -> `FitOutcome`.
     follow_up: Callable[[Any, Course], FitOutcome] = _as_found
-    candidates: Callable[[Any, FloatArray], tuple[Problem, Sequence[str]] | None] = _no_candidates
-    under: Callable[[Any, Mapping[str, Any]], tuple[Any, tuple[Finding, ...]]] = _as_stated
+    # (fitted problem, row (n_table,) [SI]) -> (problem with one trial per recording that could be made next,
+    # their titles), or None.
+    candidates: Callable[[Any, FloatArray], tuple[Problem, Sequence[str]] | None] = lambda fitted, row: None
+    # (campaign, settings of a fit) -> (the campaign under the law of that fit, what is noticed).
+    under: Callable[[Any, Mapping[str, Any]], tuple[Any, tuple[Finding, ...]]] = lambda campaign, settings: (
+        campaign,
+        (),
+    )
+    # Physics on trial, see `sysid.trust.ladder`.
     terms: tuple[Term, ...] = ()
+    # (fitted problem) -> (title, simpler model of the same trials) pairs that the ladder compares.
     simpler: Callable[[Any], Sequence[tuple[str, Problem]]] = lambda problem: ()
+    # Settings that a user may state instead of the campaign's; `under` reads them.
     laws: tuple[str, ...] = ()
     words: Words = Words()
+    # Makes the descriptions of a problem's trials.
     story: type[Story[Any]] = Story

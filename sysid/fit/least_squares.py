@@ -62,23 +62,15 @@ class Weighing(Protocol):
 
 @dataclass(eq=False)
 class Fronts:
-    """Where fronts stand; a walk changes the arrays in place.
+    """Where fronts stand; a walk changes the arrays in place."""
 
-    Parameters
-    ----------
-    points : (F, n) array
-        In the unit cube.
-    cost : (F,) array
-        By the walk's `Weighing`; inf where the simulation failed.
-    converged : (F,) bool array
-        True where two steps in a row took less than the tolerance off the cost.
-    curvature : (F, n, n) array
-        Half the second derivative of the cost at the last step.
-    """
-
+    # (F, n) places in the unit cube.
     points: FloatArray
+    # (F,) cost by the walk's `Weighing`; inf where the simulation failed.
     cost: FloatArray
+    # (F,) True where two steps in a row took less than the tolerance off the cost.
     converged: BoolArray
+    # (F, n, n) half the second derivative of the cost at the last step.
     curvature: FloatArray
 
     @classmethod
@@ -159,12 +151,12 @@ def descend(
             free = np.flatnonzero(~stuck)
             inner = curvature[np.ix_(free, free)]
             for k, times in enumerate(_FACTORS[: len(_FACTORS) if len(free) else 0]):
-                # What the data hardly see must not be thrown across the cube by the noise of its derivative:
-                # a way of half the cube costs the tolerance.
+                # A coordinate that the data hardly see must not be thrown across the cube by the noise of its
+                # derivative: a way of half the cube costs the tolerance.
                 damped = damping[front] * times * np.diag(inner) + 4 * tolerance
                 step = _inside(inner + np.diag(damped), gradient[free], at[f, free])
                 trials[f, k, free] += step
-                # Of the last, the most damped one: what the cost should lose.
+                # Loss of the cost that the last, most damped step promises.
                 promised[f] = -(2 * gradient[free] @ step + step @ inner @ step)
         values, failed = yield trials.reshape(-1, n)
         values = values.reshape(len(walking), len(_FACTORS), -1)
@@ -192,12 +184,6 @@ def drive(walk: Walk, residuals: Callable[[FloatArray], tuple[FloatArray, BoolAr
             count += len(asked)
             asked = walk.send(residuals(asked))
     return count
-
-
-def comparable(residuals: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return residuals (P, m) without NaN, and which points (P,) failed, as a walk takes them."""
-    failed = np.asarray(np.isnan(residuals).any(axis=1))
-    return np.where(failed[:, None], 0.0, residuals), failed
 
 
 def _columns(
@@ -297,7 +283,7 @@ class MeanNrmse:
         return np.asarray(np.repeat(each, self._lengths) * self._seen)
 
 
-# Of the finisher: part of the window [1], fronts that take part, iterations at most, central differences.
+# Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
 STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
 
 
@@ -339,7 +325,9 @@ class LeastSquares(Breeder):
         for point, value in zip(self._asked, cost, strict=True):
             self._scored[point.tobytes()] = float(value)
         try:
-            self._asked = self._walk.send(comparable(residuals))
+            # A walk takes residuals without NaN, and which points failed.
+            failed = np.asarray(np.isnan(residuals).any(axis=1))
+            self._asked = self._walk.send((np.where(failed[:, None], 0.0, residuals), failed))
         except StopIteration:
             self._asked = None
 

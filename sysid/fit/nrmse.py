@@ -65,28 +65,20 @@ class CostChannel(ComparedChannel):
 
 @dataclass(frozen=True, eq=False)
 class TrialTarget:
-    """What one trial measured inside its fit window, and how a simulation must be prepared to compare.
-
-    Parameters
-    ----------
-    measured : (n_window, n_channels) array
-        Filtered and differentiated measurement [channel units].
-    valid : (n_window,) or (n_window, n_channels) bool array, optional
-        Samples that count. Default: where `measured` is finite.
-    rate : float
-        Sample rate of the recording's uniform clock [Hz].
-    taps : (2 h + 1,) array, optional
-        Symmetric FIR filter [1]. Default: none, samples are compared as they are.
-    delivered : (n_window + 2 margin,) bool array, optional
-        False inside a gap of the log; there the simulated samples are interpolated linearly between their
-        neighbours, as the log was before its filter (constant at the array's ends). Default: no gap.
-    """
+    """What one trial measured inside its fit window, and how a simulation must be prepared to compare."""
 
     name: str
+    # (n_window, n_channels) filtered and differentiated measurement [channel units].
     measured: FloatArray
+    # Samples that count. Default: where `measured` is finite.
     valid: BoolArray | None = None
+    # Sample rate of the recording's uniform clock [Hz].
     rate: float = 1.0
+    # (2 h + 1,) symmetric FIR filter [1]. Default: none, samples are compared as they are.
     taps: FloatArray | None = None
+    # (n_window + 2 margin,) False inside a gap of the log; there the simulated samples are interpolated
+    # linearly between their neighbours, as the log was before its filter (constant at the array's ends).
+    # Default: no gap.
     delivered: BoolArray | None = None
 
 

@@ -49,29 +49,19 @@ class Searched(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Runs grouped by the optimum in which they ended.
+    """Runs grouped by the optimum in which they ended."""
 
-    Parameters
-    ----------
-    order : tuple of int
-        Runs (from 0), best first; the other arrays are in the order of the runs.
-    optimum : (R,) int array
-        Optimum (from 0, best first).
-    cost : (R,) array
-        NRMSE [1].
-    cut : tuple of str or None
-        Why a run was cut short; None for a run that ended by itself. Where a run was cut is no optimum.
-    asked : int
-        Runs that the fit was to have, including those that were not begun [1].
-    floor : float, optional
-        NRMSE that noise alone costs [1]; sentences state it beside the NRMSE.
-    """
-
+    # Runs (from 0), best first; the other arrays are in the order of the runs.
     order: tuple[int, ...]
+    # (R,) optimum (from 0, best first).
     optimum: IntArray
+    # (R,) NRMSE [1].
     cost: FloatArray
+    # Reason that cut a run short; None for a run that ended by itself. Where a run was cut is no optimum.
     cut: tuple[StopReason | None, ...]
+    # Runs that the fit was to have, including those that were not begun [1].
     asked: int
+    # NRMSE that noise alone costs [1]; sentences state it beside the NRMSE.
     floor: float | None = None
 
     @property

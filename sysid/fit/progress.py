@@ -20,7 +20,7 @@ from sysid.fit.optima import CUT
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import REASONS
 
-# Between two plain lines [s].
+# Least time between two plain lines [s].
 PLAIN_INTERVAL = 10.0
 # Candidates of a run until one has ended: with least squares on the samples 1300 (motor) to 2600 (gear);
 # else generations of the paper's algorithm.

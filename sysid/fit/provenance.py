@@ -67,11 +67,11 @@ class FitProvenance(TypedDict, total=False):
     cut_short: CutReason
     # Failed candidates by cause.
     failures: dict[str, int]
-    # What was noticed, repeats over trials joined; the sentences of its warnings are `warnings`.
+    # Findings, repeats over trials joined; the sentences of its warnings are `warnings`.
     findings: list[FindingRecord]
     # How far noise explains what the fit leaves, and where the misfit sits.
     adequacy: Adequacy
-    # What the trials were expected to determine, per parameter.
+    # Half-widths that the trials were expected to leave, per parameter.
     expected: list[Open]
 
 

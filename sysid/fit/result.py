@@ -21,37 +21,25 @@ from sysid.types import BoolArray, FloatArray, Spectrum
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrialResult(Brief):
-    """One trial, measured and simulated with every set, inside its fit window.
-
-    Parameters
-    ----------
-    time : (n,) array
-        On the recording's clock [s].
-    measured : (n, C) array
-        As compared (filtered, differentiated) [channel units].
-    valid : (n, C) bool array
-        Samples that count.
-    simulated : (S, n, C) array
-        The same with every set, best first [channel units].
-    nrmse : (S, C) array
-        [1].
-    spectrum : Spectrum, optional
-        Of the measured channels before the filter; None where nothing was filtered.
-    thrust : (n,) array, optional
-        Measured thrust of a motor [N], prepared like the channels; shown, never compared.
-    commands : (m, 2) array, optional
-        Instants [s] of a motor's commands and the level u in [-1, 1] from each on.
-    """
+    """One trial, measured and simulated with every set, inside its fit window."""
 
     name: str
     use: Literal["fit", "validate"]
+    # (n,) instants on the recording's clock [s].
     time: FloatArray
+    # (n, C) measurement as compared (filtered, differentiated) [channel units].
     measured: FloatArray
+    # (n, C) samples that count.
     valid: BoolArray
+    # (S, n, C) the same with every set, best first [channel units].
     simulated: FloatArray
+    # (S, C) NRMSE [1].
     nrmse: FloatArray
+    # Spectrum of the measured channels before the filter; None where nothing was filtered.
     spectrum: Spectrum | None = None
+    # (n,) measured thrust of a motor [N], prepared like the channels; shown, never compared.
     thrust: FloatArray | None = None
+    # (m, 2) instants [s] of a motor's commands and the level u in [-1, 1] from each on.
     commands: FloatArray | None = None
 
 
@@ -116,24 +104,16 @@ def bound_findings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.i
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class FitResult(SetsContent):
-    """A finished or stopped fit.
+    """A finished or stopped fit."""
 
-    Parameters
-    ----------
-    state : {"done", "stopped"}
-        ``stopped``: cut short by the user or the time limit.
-    runs : tuple of RunHistory
-        In the order they ran.
-    set_runs, set_seeds : tuple of int
-        Run (from 1) and seed of each set.
-    cube : (S, n_free) array
-        Sets in the unit cube, best first [1].
-    """
-
+    # ``stopped``: cut short by the user or the time limit.
     state: Literal["done", "stopped"]
+    # Runs in the order in which they ran.
     runs: tuple[RunHistory, ...]
+    # Run (from 1) and seed of each set.
     set_runs: tuple[int, ...]
     set_seeds: tuple[int, ...]
+    # (S, n_free) sets in the unit cube, best first [1].
     cube: FloatArray
     trials: tuple[TrialResult, ...]
 

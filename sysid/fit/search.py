@@ -59,20 +59,13 @@ def _ignore(*_: object) -> None:
 
 @dataclass(frozen=True)
 class Hooks:
-    """What a search calls, and what may end it.
+    """What a search calls, and what may end it."""
 
-    Parameters
-    ----------
-    on_generation : callable
-        Called with the run (from 0) and every new `Generation`.
-    on_run : callable
-        Called with the run (from 0) and its history when it ends.
-    should_stop : callable
-        Asked after every generation; True ends the fit and keeps what was found.
-    """
-
+    # Called with the run (from 0) and every new `Generation`.
     on_generation: Callable[[int, Generation], None] = _ignore
+    # Called with the run (from 0) and its history when it ends.
     on_run: Callable[[int, RunHistory], None] = _ignore
+    # Asked after every generation; True ends the fit and keeps what was found.
     should_stop: Callable[[], bool] = lambda: False
 
 
@@ -156,7 +149,8 @@ class _Run:
                     finishing = ROUGH_POPULATION if small else FINISH_POPULATION
                     searching = name == self.settings.algorithm
                     population = self.settings.population if searching else finishing
-                    own = seed if searching else _child_seed(seed, number)
+                    child = np.random.SeedSequence(seed, spawn_key=(number,))
+                    own = seed if searching else int(child.generate_state(1, np.uint32)[0])
                     bred = breeder(name, n_free, population, own, start)
                 stage = self._bred(name, bred, self._limits(name, number, population))
                 start = bred.start()
@@ -170,7 +164,7 @@ class _Run:
             if stage.stop_reason == "interrupted":
                 break
             if name == "least-squares":
-                # Where more is left than noise, the search goes on as if least squares had not been tried.
+                # If more is left than noise, the search goes on as if least squares had not been tried.
                 left += [self.settings.algorithm] * (stage.stop_reason == "unexplained") + ["cmaes"]
         # The run was farther when it was killed or stopped before.
         if cut and self.best is not None and self.best.cost.min() < min(stage.cost.min() for stage in stages):
@@ -273,10 +267,6 @@ def run_seeds(settings: SearchSettings) -> tuple[int, ...]:
     """Return the seed of every run; more runs keep the first ones."""
     children = np.random.SeedSequence(settings.seed).spawn(settings.runs)
     return tuple(int(child.generate_state(1, np.uint32)[0]) for child in children)
-
-
-def _child_seed(seed: int, stage: int) -> int:
-    return int(np.random.SeedSequence(seed, spawn_key=(stage,)).generate_state(1, np.uint32)[0])
 
 
 def _scored(objective: Problem, points: FloatArray) -> Evaluation:

@@ -20,7 +20,7 @@ CutReason = Literal["time", "interrupted"]
 # A launcher repeats Ctrl-C to a child that has it from the terminal: signals this close [s] are one press.
 ONE_PRESS = 0.5
 
-# What each reason means to a person; "exhausted" is pymoo's: no new candidate could be bred.
+# Reasons in words; "exhausted" is pymoo's: no new candidate could be bred.
 REASONS: dict[str, str] = {
     "converged": "NRMSE change below the tolerance",
     "unexplained": "more is left than noise",

@@ -151,15 +151,14 @@ def read_fit(path: str | Path) -> FitResult:
             **sets.content(),
             trials=tuple(map(_read_trial, numbered(file, "trials"))),
             state=file.attrs["state"],
-            runs=tuple(map(_read_run, numbered(file, "runs"))),
+            runs=tuple(
+                RunHistory(int(run.attrs["seed"]), tuple(map(_read_stage, numbered(run, "stages"))))
+                for run in numbered(file, "runs")
+            ),
             set_runs=sets.runs,
             set_seeds=sets.seeds,
             cube=group["cube"][()],
         )
-
-
-def _read_run(group: Any) -> RunHistory:
-    return RunHistory(int(group.attrs["seed"]), tuple(map(_read_stage, numbered(group, "stages"))))
 
 
 def _read_stage(group: Any) -> StageHistory:

@@ -43,29 +43,20 @@ class Cost(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One prepared trial as it is compared.
-
-    Parameters
-    ----------
-    time : (n,) array
-        Compared instants on the log's clock [s].
-    measured, valid : (n, C) arrays
-        As compared [channel units], and which samples count.
-    provenance : mapping
-        Log, hash (``sha256``), what was noticed.
-    zero : float
-        Instant from which times are counted: the first touchdown, the window's start [s].
-    shown : mapping
-        Further fields of `TrialResult`: spectrum, thrust, commands.
-    """
+    """One prepared trial as it is compared."""
 
     name: str
     use: Literal["fit", "validate"]
+    # (n,) compared instants on the log's clock [s].
     time: FloatArray
+    # (n, C) measurement as compared [channel units], and which samples count.
     measured: FloatArray
     valid: BoolArray
+    # Log, hash (``sha256``), what was noticed.
     provenance: Mapping[str, Any]
+    # Instant from which times are counted: the first touchdown, the window's start [s].
     zero: float
+    # Further fields of `TrialResult`: spectrum, thrust, commands.
     shown: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -76,30 +67,28 @@ class Trial:
 
 @dataclass(frozen=True)
 class Block:
-    """The samples of one channel of one trial, both numbered from 0.
-
-    Parameters
-    ----------
-    start, stop : int
-        Its residuals are ``[start:stop]``, one per compared sample, 0 where a sample does not count.
-    count : int
-        Samples that count.
-    weight : float
-        In the mean NRMSE; all blocks sum to 1.
-    spread : float
-        What NRMSE divides by [unit of the channel].
-    noise : float
-        NRMSE that measurement noise alone costs [1].
-    """
+    """The samples of one channel of one trial, both numbered from 0."""
 
     trial: int
     channel: int
+    # Its residuals are ``[start:stop]``, one per compared sample, 0 where a sample does not count.
     start: int
     stop: int
+    # Samples that count.
     count: int
+    # Weight in the mean NRMSE [1]; all blocks sum to 1.
     weight: float
+    # Divisor of the NRMSE [unit of the channel].
     spread: float
+    # NRMSE that measurement noise alone costs [1].
     noise: float
+
+
+def nrmse_of(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:
+    """Return the NRMSE (..., B) [1] of every block from residuals (..., m); 0 of a block without samples."""
+    squares = [np.sum(residuals[..., block.start : block.stop] ** 2, axis=-1) for block in blocks]
+    counts = [max(block.count, 1) for block in blocks]
+    return np.sqrt(np.stack(squares, axis=-1) / counts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,17 +111,11 @@ class NoiseModel:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """What a population scores.
+    """What a population scores."""
 
-    Parameters
-    ----------
-    by_channel : (P, T, C) array
-        NRMSE [1]; a penalty where the simulation is lost.
-    cause : (P, T) int8 array
-        Why it is lost: a number from 1 among the problem's `causes`; 0 where it is not.
-    """
-
+    # (P, T, C) NRMSE [1]; a penalty where the simulation is lost.
     by_channel: FloatArray
+    # (P, T) reason of a lost simulation: a number from 1 among the problem's `causes`; 0 where it is not.
     cause: NDArray[np.int8]
 
     @staticmethod
@@ -151,21 +134,14 @@ class Prediction(Scores):
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Cost of one population.
+    """Cost of one population."""
 
-    Parameters
-    ----------
-    cost : (P,) array
-        NRMSE of each candidate [1]; finite, a failed candidate carries its graded penalty.
-    failed : (P,) bool or int8 array
-        Candidates of which at least one simulation failed: True, or the number (from 1) of its cause among
-        the problem's `causes`.
-    simulations : int
-        Simulations that were run (candidates × trials).
-    """
-
+    # (P,) NRMSE of each candidate [1]; finite, a failed candidate carries its graded penalty.
     cost: FloatArray
+    # Candidates of which at least one simulation failed: True, or the number (from 1) of its cause among the
+    # problem's `causes`.
     failed: Failed
+    # Simulations that were run (candidates × trials).
     simulations: int
 
 

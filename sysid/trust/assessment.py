@@ -29,6 +29,7 @@ from scipy.stats import t as student
 
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, undisturbed
 from sysid.fit.problem import Problem
+from sysid.fit.trial import nrmse_of
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
 from sysid.trust.least_squares import Solved, solve
@@ -40,7 +41,7 @@ from sysid.trust.linearized import (
     linearized,
     noise_model,
 )
-from sysid.trust.problem import nrmse_of, scales, trial_rows
+from sysid.trust.problem import scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
 from sysid.trust.terms import placed, searched
 from sysid.trust.verdicts import verdict

@@ -31,11 +31,12 @@ from sysid.errors import FitError
 from sysid.fit.adequacy import EXPLAINED_BY, adequacy
 from sysid.fit.kind import Term
 from sysid.fit.problem import Problem
+from sysid.fit.trial import nrmse_of
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
 from sysid.trust.assessment import linearize_widened
 from sysid.trust.least_squares import solve
-from sysid.trust.problem import nrmse_of, scales
+from sysid.trust.problem import scales
 from sysid.trust.terms import TOLERANCE, downhill, freed, placed, searched
 from sysid.types import FloatArray
 
@@ -57,40 +58,27 @@ _ITERATIONS_WITHOUT = 6
 
 @dataclass(frozen=True, eq=False)
 class TermFit:
-    """A fit of the model with some terms.
+    """A fit of the model with some terms."""
 
-    Parameters
-    ----------
-    terms : tuple of Term
-        That it has; none in the base. Of a simpler model one that names it.
-    problem : Problem
-        Its free parameters are the fit's, then the terms'.
-    point : (n,) array
-        The optimum [unit cube].
-    nrmse : float
-        Over the fitted trials [1].
-    ratio : float
-        The same over what noise alone costs [1].
-    left_out : (T,) array
-        NRMSE over noise of each piece, predicted by the fit of the others [1]; NaN where not computed.
-    misfit : (T,) array
-        The same, root mean square over the channels [1].
-    gain, chance : float
-        Mean gain over the rung below, and the probability that it, or the value of a term among others, is
-        chance [1]; NaN of the base. Of a simpler model: what the base gains over it.
-    kept : bool
-        Whether the last term is among those to keep. Of a simpler model: whether what it lacks is needed.
-    """
-
+    # Terms that it has; none in the base. A simpler model has one that names it.
     terms: tuple[Term, ...]
+    # Problem whose free parameters are the fit's, then the terms'.
     problem: Problem
+    # (n,) optimum [unit cube].
     point: FloatArray
+    # NRMSE over the fitted trials [1].
     nrmse: float
+    # The same over what noise alone costs [1].
     ratio: float
+    # (T,) NRMSE over noise of each piece, predicted by the fit of the others [1]; NaN where not computed.
     left_out: FloatArray
+    # (T,) the same, root mean square over the channels [1].
     misfit: FloatArray
+    # Mean gain over the rung below, and the probability that it, or the value of a term among others, is
+    # chance [1]; NaN of the base. Of a simpler model: what the base gains over it.
     gain: float = np.nan
     chance: float = np.nan
+    # Whether the last term is among those to keep. Of a simpler model: whether what it lacks is needed.
     kept: bool = False
 
     @property

@@ -38,17 +38,6 @@ _SHARE = 2.0
 TRUSTED = 0.1
 
 
-def nrmse_of(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:
-    """Return the NRMSE (..., B) [1] of every block from residuals (..., m)."""
-    return np.stack(
-        [
-            np.sqrt(np.sum(residuals[..., block.start : block.stop] ** 2, axis=-1) / block.count)
-            for block in blocks
-        ],
-        axis=-1,
-    )
-
-
 def scales(blocks: Sequence[Block], levels: FloatArray, size: int) -> FloatArray:
     """Return what turns residuals r (m,) into rho, for blocks at NRMSE `levels` (B,) [1]."""
     out = np.zeros(size)

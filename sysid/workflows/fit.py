@@ -111,7 +111,7 @@ def fit_campaign(
             identity, candidate_time = _identity(search, story, fitted)
             checkpoint = Checkpoint(folder, identity, resume=options.resume, force=options.force)
             until_done.callback(checkpoint.close)
-            # From here on Ctrl-C is a flag: what was found so far is kept.
+            # Ctrl-C is a flag from here on: what was found so far is kept.
             deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
             runs, cut = _search(fitted, limited, options, checkpoint, progress, deadline.flag, candidate_time)
             sets = ranked_sets(runs, problem.space)
@@ -212,7 +212,8 @@ def _expected(fitted: Problem) -> dict[str, Any]:
 
 def _identity(settings: SearchSettings, story: Story, fitted: Problem) -> tuple[dict[str, Any], float]:
     """Return what must be equal for the fit to be continued, and the time that a candidate takes [s]."""
-    # What no hash of a log or a table covers (a static log, a kernel) shows in the costs of some candidates.
+    # Inputs that no hash of a log or a table covers (a static log, a kernel) show in the costs of some
+    # candidates.
     points = np.random.default_rng(0).random((_PROBES, len(fitted.space.free)))
     costs = [float(cost).hex() for cost in fitted.evaluate(points).cost]
     # Again, now that everything is loaded and compiled: the time left is estimated from it.

@@ -150,7 +150,7 @@ def _doubtful(
     moves = np.abs(linear.point - best) / np.maximum(linear.information.sigma, 1e-12)
     for parameter, row, jump in zip(free, rows, moves, strict=True):
         name, rough = in_words(parameter, of_trial=False), row.derivative_doubt
-        # What is not identifiable has a verdict that says more.
+        # A parameter that is not identifiable has a verdict that says more.
         if not (row.derivative_trusted or row.lost):
             sentence = (
                 f"{name}: its derivative changes by {100 * rough:.0f} % when the step is halved (the cost is "

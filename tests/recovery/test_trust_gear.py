@@ -10,6 +10,7 @@ from fakes.gear_campaigns import on_board
 from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import FitError
+from sysid.fit.trial import nrmse_of
 from sysid.gear.beyond_window import centre_of_mass, turning_point
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, gear_space
@@ -19,7 +20,6 @@ from sysid.synthetic.gear import DropPlan
 from sysid.trust.assessment import leave_one_out, linearize
 from sysid.trust.documents import TRUST, TrustDocument, ValidationDocument, parts, read_arrays
 from sysid.trust.influence import influence
-from sysid.trust.problem import nrmse_of
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import VERDICTS
 from sysid.workflows.check import check_campaign

@@ -10,10 +10,10 @@ import pytest
 
 from sysid.campaign import read_campaign
 from sysid.fit.store import read_fit
+from sysid.fit.trial import nrmse_of
 from sysid.report.trust_tables import validation_table
 from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
-from sysid.trust.problem import nrmse_of
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
 from sysid.workflows.fit import fit_motor

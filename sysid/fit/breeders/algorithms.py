@@ -18,7 +18,7 @@ from sysid.fit.breeders.breeder import RANDOM_SPREAD, Breeder, Start
 from sysid.search_options import ALGORITHMS
 from sysid.types import FloatArray
 
-# What pymoo calls the values of a scored individual.
+# Pymoo's names for the values of a scored individual.
 _SCORED = ("F", "G", "H")
 
 

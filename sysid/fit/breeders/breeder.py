@@ -10,7 +10,7 @@ import numpy as np
 from sysid.fit.stopping import StopReason
 from sysid.types import FloatArray
 
-# Of a CMA-ES that starts anywhere: 0.3 of the cube's edge is cma's own advice for a bounded search.
+# Standard deviation of a CMA-ES that starts anywhere [edges of the cube]: cma's own advice.
 RANDOM_SPREAD = 0.3
 # A converged population spans almost nothing in some directions; CMA-ES needs room to measure them, and to
 # leave a valley that the population has settled in too soon.
@@ -19,20 +19,13 @@ _LEAST_SPREAD = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where CMA-ES begins.
+    """Where CMA-ES begins."""
 
-    Parameters
-    ----------
-    mean : (n_free,) array
-        Centre in the unit cube [1].
-    spread : (n_free,) array
-        Standard deviation along every axis [1].
-    axes : (n_free, n_free) array, optional
-        Unit vectors of the axes as columns; by default the coordinates.
-    """
-
+    # (n_free,) centre in the unit cube [1].
     mean: FloatArray
+    # (n_free,) standard deviation along every axis [1].
     spread: FloatArray
+    # (n_free, n_free) unit vectors of the axes as columns; by default the coordinates.
     axes: FloatArray | None = None
 
     @classmethod

@@ -15,8 +15,8 @@ import numpy as np
 from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.types import FloatArray
 
-# What cma offers interactive shells: it imports matplotlib, which takes 30 MB. An empty module stands in its
-# place only while cma is imported, so a later ``import cma.s`` finds the real one.
+# Cma's shortcuts for interactive shells: they import matplotlib, which takes 30 MB. An empty module stands in
+# their place only while cma is imported, so a later ``import cma.s`` finds the real one.
 _SHORTCUTS = "cma.s"
 if "cma" not in sys.modules:
     sys.modules[_SHORTCUTS] = ModuleType(_SHORTCUTS)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from sysid.fit.trial import Block, NoiseModel, Trial
+from sysid.fit.trial import Block, NoiseModel, Trial, nrmse_of
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trust.assessment import Assessment, assess, bootstrap, leave_one_out, linearize, refit
 from sysid.trust.influence import influence
 from sysid.trust.least_squares import search_around, solve
 from sysid.trust.linearized import NORMAL_95, bounded_information, half_widths, information, noise_model
-from sysid.trust.problem import jacobian, nrmse_of, scales
+from sysid.trust.problem import jacobian, scales
 from sysid.trust.profiles import ends
 from sysid.trust.sensitivity import drawn_outlooks, expectations, rank_candidates
 from sysid.trust.verdicts import sentences, verdict
