@@ -20,22 +20,8 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.clock import DECLARE_RATE, declared_rate, order_rows, rate_clock
-from sysid.loaders.columns import (
-    Column,
-    DeclaredUnits,
-    factor_or_none,
-    listing,
-    listing_note,
-    split_label,
-)
-from sysid.loaders.load_cell import (
-    MEASURED,
-    QUANTITIES,
-    STEMS,
-    check_tachometer,
-    shown_unit,
-    speed_channel,
-)
+from sysid.loaders.columns import Column, DeclaredUnits, factor_or_none, listing, listing_note, split_label
+from sysid.loaders.load_cell import MEASURED, QUANTITIES, STEMS, check_tachometer, shown_unit, speed_channel
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import family_format
 from sysid.loaders.source import Source

@@ -7,15 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fakes.log_files import (
-    assert_turns,
-    c3d,
-    examples,
-    quaternions_of,
-    refuses,
-    ros_recording,
-    small_turns,
-)
+from fakes.log_files import assert_turns, c3d, examples, quaternions_of, refuses, ros_recording, small_turns
 from sysid.loaders import load
 
 SETTINGS = examples(20)
