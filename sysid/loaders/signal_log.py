@@ -186,11 +186,8 @@ class _Clocks:
             # A program that paces itself writes a Delta_X without meaning; its times were measured.
             self.notes += [note("rate-contradicts-times", f"{doubt}; the times were taken")] if doubt else []
             return id(signal.time), signal.time
-        beside = [
-            other
-            for other, signal_there in self.signals.items()
-            if signal_there.group == signal.group and signal_there.is_time and other != name
-        ]
+        in_group = [other for other in self.signals.values() if other.group == signal.group]
+        beside = [other.name for other in in_group if other.is_time and other is not signal]
         clock = beside[0] if len(beside) == 1 else self.time
         if self.rate is None and clock is not None:
             time = self.signals[clock].read() * self.seconds(clock)
@@ -204,8 +201,7 @@ class _Clocks:
                     f"{self.path}: {doubt}; declare the true one with rate = ..., or correct the file"
                 )
             return clock, time
-        stated = signal.rate if self.rate is None else self.rate
-        hertz = declared_rate(self.path, stated)
+        hertz = declared_rate(self.path, signal.rate if self.rate is None else self.rate)
         if hertz is None:
             raise LogError(
                 f"{self.path}: dataset {name} has no clock: no dataset time beside it and no attribute rate; "
@@ -246,10 +242,10 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
     chosen = _choose(path, by_name, raw, options.datasets)
     check_tachometer(path, chosen, per_revolution)
     declared = DeclaredUnits(path, options.units)
-    columns = {name: signal.column for name, signal in by_name.items()}
     clocks = _Clocks(
-        path, by_name, rate, chosen.get("time"), lambda name: declared.factor(columns[name], "time", "s")
-    )
+        path, by_name, rate, chosen.get("time"),
+        lambda name: declared.factor(by_name[name].column, "time", "s"),
+    )  # fmt: skip
     left = [] if named else [name for name in by_name if name not in chosen.values()]
     others = [] if raw.measured else [name for name in left if not by_name[name].is_time]
     for channel, name in [*chosen.items(), *zip(others, others, strict=True)]:
@@ -265,7 +261,7 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
         notes += [finding for finding in ordered if finding not in notes]
         for index, channel in enumerate(names, start=1):
             values = clocks.numbers[key].columns[index]
-            column = columns[channel if channel in others else chosen[channel]]
+            column = by_name[channel if channel in others else chosen[channel]].column
             if channel in others:
                 # Only for a known quantity can the dimension show that the end of a name is no unit.
                 if column.guessed:
@@ -286,7 +282,7 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
                 channels[channel] = Channel(channel, shown_unit(unit), time, values * scale)
     notes += unknown_units_note(unknown)
     notes += listing_note("passed-over", "passed over, as no rows of numbers", raw.passed_over)
-    declared.check_used(tuple(columns.values()))
+    declared.check_used([signal.column for signal in raw.signals])
     return channels, [*notes, *declared.notes]
 
 
