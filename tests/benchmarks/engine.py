@@ -13,7 +13,6 @@ Run ``python tests/benchmarks/engine.py PART [--problem NAME] [--seeds 5] [--jso
 ``engine.md`` has the tables, and what former parts of this file have answered.
 """
 
-import argparse
 import contextlib
 import os
 import tempfile
@@ -23,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import campaigns
-from paired import write_json
+from paired import flags, report
 from sysid.fit.problem import computed_by
 from sysid.fit.search import run_many, run_one
 from sysid.fit.settings import SearchSettings
@@ -124,8 +123,7 @@ def workers(arguments, folder):
         out[f"{way}: efficiency"] = float(np.median(one / (2 * two)))
     # What other work on the machine took of the cores, a ratio of wall times cannot tell from idling.
     out["processes: cores got, one"], out["processes: cores got, two"] = got[1], got[2]
-    print(out, f"load {os.getloadavg()}")
-    return out
+    return out | {"load": os.getloadavg()[0]}
 
 
 def _pin(cores):
@@ -141,19 +139,14 @@ def _processor_time(where):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = flags(__doc__, seeds=5, first_seed=1, generations=8, pairs=3)
     parser.add_argument("part", choices=["finishers", "workers"])
     parser.add_argument("--problem", choices=list(campaigns.CAMPAIGNS), default="lf")
     parser.add_argument("--campaigns", type=lambda text: text.split(","), default=list(campaigns.CAMPAIGNS))
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--first-seed", type=int, default=1)
-    parser.add_argument("--generations", type=int, default=8, help="of part workers")
-    parser.add_argument("--pairs", type=int, default=3, help="of part workers")
-    parser.add_argument("--json", type=Path, help="where the numbers go")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         out = globals()[arguments.part](arguments, folder)
-    write_json(arguments.json, out)
+    report(out, arguments.json)
 
 
 if __name__ == "__main__":

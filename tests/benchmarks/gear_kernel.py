@@ -18,10 +18,8 @@ instructions bounds it (some 600 per right-hand side of eight lanes on low frict
 stack), not their latency.
 """
 
-import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -33,7 +31,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from fakes.gear_drops import SIX, level_drops
 from gear_rivals import scipy_drop
-from paired import LIMIT, best, mean_nrmse, measured, memory, write_json
+from paired import LIMIT, best, flags, mean_nrmse, measured, memory, report
 from sysid.gear import model
 from sysid.gear.kernel.driver import drop_driver
 from sysid.gear.model import SURFACES, Drops, pack, parameters_on, simulate, simulate_population
@@ -145,11 +143,11 @@ def low_friction(drops, population):
 
 
 def mean_ratios(table):
-    """Each library's time over ours, by library: geometric mean over the drops and the least."""
+    """Each method's time over ours, by name: geometric mean over the drops and the least."""
     out = {}
     for name in list(table[0])[2:]:
         if "ratio_lanes" in table[0][name]:
-            out[name] = {}
+            out[name] = {"goal": GOALS[name]} if name in GOALS else {}
             for kind in ("lanes", "scalar"):
                 each = np.array([entry[name][f"ratio_{kind}"] for entry in table])
                 out[name][kind] = float(np.exp(np.log(each).mean()))
@@ -158,10 +156,8 @@ def mean_ratios(table):
 
 
 def main():
-    """Measure, print the table, write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--population", type=int, default=400)
+    """Measure, print, write the JSON."""
+    parser = flags(__doc__, population=400)
     parser.add_argument("--lanes", action="store_true", help="also other numbers of lanes (compiles each)")
     parser.add_argument("--cold", action="store_true", help="also the first compilation (a minute or two)")
     arguments = parser.parse_args()
@@ -171,66 +167,23 @@ def main():
         simulate(pack({}), drops.slope[0], drops.body_state[0], drops.time[0])
         simulate_population(pack({}), drops)
 
-    print(f"compiled or loaded in {measured(load)[0]:.1f} s on {platform.machine()}")
+    loaded = measured(load)[0]
     rates = {surface: throughput(surface, drops, arguments.population) for surface in ("lf", "hf")}
     widths = lane_widths(drops, arguments.population // 4) if arguments.lanes else {}
     table = low_friction(drops, arguments.population)
-
-    head = f"{'drop':>14} {'kernel':>8} {'ms':>9} {'error %':>8} {'rhs':>7} {'x lanes':>8} {'x scalar':>8}"
-    print(head)
-    for entry in table:
-        label = f"{entry['slope_deg']} deg {entry['speed']} m/s"
-        for kernel in list(entry)[2:]:
-            part = entry[kernel]
-            line = f"{label:>14} {kernel:>8} {1e3 * part['seconds']:9.4f} {100 * part['error']:8.3f}"
-            line += f" {part['rhs']:7d}"
-            if "ratio_lanes" in part:
-                line += f" {part['ratio_lanes']:8.0f} {part['ratio_scalar']:8.0f}"
-            print(line)
-    ratios = mean_ratios(table)
-    for name, part in ratios.items():
-        goal = f", goal {GOALS[name]}" if name in GOALS else ""
-        print(
-            f"{name}: {part['lanes']:.0f} x lanes (least {part['least lanes']:.0f}){goal}; "
-            f"{part['scalar']:.1f} x scalar (least {part['least scalar']:.1f}); geometric means"
-        )
-    high = [entry for _, _, entry in each_drop(drops, arguments.population, "hf")]
-    for entry in high:
-        seconds, error = entry["lanes"]["seconds"], entry["lanes"]["error"]
-        print(
-            f"hf {entry['slope_deg']} deg {entry['speed']} m/s: {1e3 * seconds:.4f} ms in lanes, "
-            f"error {100 * error:.3f} %"
-        )
-    peak = memory() / 2**20
-    print(f"peak memory of this run: {peak:.0f} MB")
-    cold = {surface: cold_compile(surface) for surface in SURFACES} if arguments.cold else {}
-    for surface, part in cold.items():
-        print(
-            f"{surface} cold: {part['cpu_seconds']:.1f} s of processor time, peak {part['peak_mb']:.0f} MB "
-            f"({part['imported_mb']:.0f} MB of it imports)"
-        )
-    for surface, kinds in rates.items():
-        for kind, part in kinds.items():
-            walls = ", ".join(f"{rate:.0f} on {n} thread(s)" for n, rate in part["drops_per_second"].items())
-            print(
-                f"{surface} {kind} candidates: {part['drops_per_cpu_second']:.0f} drops per CPU second; "
-                f"{walls} of wall-clock time; {part['rhs']:.0f} right-hand sides, "
-                f"at most {part['most_rhs']}; {part['failed']} failed"
-            )
-    for lanes, rate in widths.items():
-        print(f"{lanes} lane(s): {rate:.0f} drops per CPU second")
     result = {
+        "compiled or loaded [s]": loaded,
         "tolerance": {name: surface.tolerance for name, surface in SURFACES.items()},
         "limit": LIMIT,
         "drops": table,
         "throughput": rates,
-        "mean_ratios": ratios,
-        "high_friction": high,
-        "peak_mb": peak,
-        "cold": cold,
+        "mean_ratios": mean_ratios(table),
+        "high_friction": [entry for _, _, entry in each_drop(drops, arguments.population, "hf")],
+        "peak_mb": memory() / 2**20,
+        "cold": {surface: cold_compile(surface) for surface in SURFACES} if arguments.cold else {},
         "drops_per_cpu_second_by_lanes": widths,
     }
-    write_json(arguments.json, result)
+    report(result, arguments.json)
 
 
 if __name__ == "__main__":

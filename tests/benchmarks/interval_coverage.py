@@ -26,7 +26,6 @@ Intervals of fits that end where a search leads them, under foreign terms: `test
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from dataclasses import dataclass
@@ -35,6 +34,7 @@ from pathlib import Path
 import numpy as np
 
 from fakes.foreign_gear import drawn_terms, simulator
+from paired import flags
 from sysid.campaign import read_campaign
 from sysid.fit.adequacy import Adequacy
 from sysid.fit.problem import Problem
@@ -103,9 +103,7 @@ def judged(
 
 def main() -> None:
     """Print the coverage."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--replications", type=int, default=20)
-    options.add_argument("--first-seed", type=int, default=1001)
+    options = flags(__doc__, json=False, replications=20, first_seed=1001)
     options.add_argument("--problem", choices=("lf", "hf", "motor"), default="lf")
     options.add_argument("--foreign", type=int, choices=(0, 1, 3), default=0)
     chosen = options.parse_args()

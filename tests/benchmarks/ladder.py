@@ -25,7 +25,6 @@ interpretable. Without the values of the search with all terms, 12 missed the tr
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Sequence
@@ -36,6 +35,7 @@ import numpy as np
 
 from fakes.foreign_gear import NAMES, NONE, TERMS, simulator
 from interval_coverage import Covered, judged
+from paired import flags
 from sysid.campaign import read_campaign
 from sysid.fit.adequacy import adequacy
 from sysid.fit.search import run_one
@@ -110,9 +110,7 @@ def climbed(seed: int, count: int, folder: Path, intervals: bool = True) -> Clim
 
 def main() -> None:
     """Print a line per campaign, then how often the first term was right."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--campaigns", type=int, default=20)
-    options.add_argument("--first-seed", type=int, default=101)
+    options = flags(__doc__, json=False, campaigns=20, first_seed=101)
     options.add_argument("--terms", "--foreign", type=int, choices=(0, 1, 3), default=1)
     options.add_argument("--no-intervals", dest="intervals", action="store_false", help="the ladder alone")
     chosen = options.parse_args()

@@ -8,14 +8,13 @@ Fig. 9 on two idle cores, with ``--no-check``: LF 114 s (142 s of processor, 1.3
 HF 119 s (161 s, 1.67 million).
 """
 
-import argparse
 from dataclasses import replace
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 import gear_rivals
-from paired import mean_nrmse, measured
+from paired import flags, mean_nrmse, measured
 from sysid.export.published import table_1, table_2
 from sysid.gear.model import PARAMETERS, Drops, Ending, prepare, simulate, simulate_population
 from sysid.landing.controllers import find_controller
@@ -100,11 +99,8 @@ def rivals(repeats):
 
 def main():
     """Measure."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--maps", action="store_true")
+    parser = flags(__doc__, json=False, every=1, maps=False, no_check=False)
     parser.add_argument("--impulse", choices=["lf", "hf"])
-    parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--no-check", action="store_true")
     chosen = parser.parse_args()
     settings = MapSettings(check=not chosen.no_check)
     settings = replace(

@@ -9,7 +9,6 @@ one takes more than 12 s of processor time or 6 times the memory of its arrays: 
 5.6 s and 3.5 on two cores that twenty processes shared.
 """
 
-import argparse
 import io
 import json
 import subprocess
@@ -17,7 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from paired import measured, memory
+from paired import flags, measured, memory, report
 
 COLUMNS = ["Time (s)", "Command (us)", "Speed (rad/s)", "Fx (N)", "Fy (N)", "Fz (N)", "Mx (N·m)", "Mz (N·m)"]
 # delimiter, decimal mark, line end, encoding, and every how many rows something odd stands in one.
@@ -115,21 +114,15 @@ def benchmark(rows, dialects):
             entry = json.loads(done.stdout)
             if entry["rows"] != rows:
                 raise RuntimeError(f"{dialect}: {entry['rows']} rows were read, {rows} written")
-            results.append({"dialect": dialect, "megabytes": size, **entry})
-            print(
-                f"{dialect:14} {size:6.1f} MB {entry['seconds']:6.2f} s of processor, {entry['wall']:6.2f} s "
-                f"of clock, {size / entry['seconds']:6.1f} MB/s, memory {entry['memory']:5.2f} x the arrays"
-            )
+            speed = size / entry["seconds"]
+            results.append({"dialect": dialect, "megabytes": size, "megabytes_per_second": speed, **entry})
     return results
 
 
 def main():
     """Run the benchmark as the first lines of this file say."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rows", type=int, default=600_000)
-    parser.add_argument("--dialects", default=",".join(DIALECTS))
+    parser = flags(__doc__.splitlines()[0], rows=600_000, dialects=",".join(DIALECTS))
     parser.add_argument("--long", action="store_true", help="ten minutes as CSV and HDF5, within limits")
-    parser.add_argument("--json", type=Path)
     parser.add_argument("--measure", type=Path, metavar="PATH")
     options = parser.parse_args()
     if options.measure:
@@ -137,8 +130,7 @@ def main():
         return
     rows, dialects = LONG[:2] if options.long else (options.rows, options.dialects.split(","))
     results = benchmark(rows, dialects)
-    if options.json:
-        options.json.write_text(json.dumps(results, indent=2), encoding="utf-8")
+    report({"dialects": results}, options.json)
     if options.long:
         sys.exit(any(entry["seconds"] > LONG[2] or entry["memory"] > LONG[3] for entry in results))
 

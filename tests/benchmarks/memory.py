@@ -13,12 +13,12 @@ intervals. The process that compiles the kernels takes 125 MB more.
 paper's method (``--finish none``) keeps some 60 generations of 400, which is 1.8 MB per run.
 """
 
-import argparse
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
+from paired import flags, memory
 from sysid.fit.progress import FitProgress
 from sysid.gear.model import prepare
 from sysid.synthetic import DropPlan, synthesize_gear
@@ -29,12 +29,9 @@ from sysid.workflows.options import FitOptions
 MB = 1e6
 
 
-def resident(which="VmRSS"):
-    """Memory of this process that lies in RAM now, or at most until now (VmHWM) [MB]."""
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith(f"{which}:"):
-            return int(line.split()[1]) * 1024 / MB
-    raise SystemExit("this system states no memory in /proc/self/status")
+def resident(peak=False):
+    """Memory of this process that lies in RAM now, or at most until now [MB]."""
+    return memory(peak) / MB
 
 
 def drawn(folder, count):
@@ -47,19 +44,16 @@ def drawn(folder, count):
 
 def main():
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--drops", type=int, default=60)
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--population", type=int, default=400)
-    parser.add_argument("--finish", default="least-squares")
-    parser.add_argument("--max-generations", type=int)
-    parser.add_argument("--no-intervals", action="store_true")
+    parser = flags(
+        __doc__, json=False, drops=60, runs=100, population=400, max_generations=None,
+        finish="least-squares", no_intervals=False,
+    )  # fmt: skip
     chosen = parser.parse_args()
     after = []
 
     def on_run(progress, run, history):
         cells = sum(stage.cube.nbytes + stage.cost.nbytes for stage in history.stages)
-        after.append((resident(), cells / MB, resident("VmHWM")))
+        after.append((resident(), cells / MB, resident(peak=True)))
         print(
             f"run {run + 1}: {after[-1][0]:.0f} MB, {after[-1][1]:.2f} MB of it are its populations",
             flush=True,
@@ -86,7 +80,7 @@ def main():
     rises = np.diff([now for now, *_ in after])
     if rises.size:
         print(f"each run adds {np.median(rises):.2f} MB (median), {rises.mean():.2f} MB (mean)")
-    print(f"at most {after[-1][2]:.0f} MB in the search, {resident('VmHWM'):.0f} MB in all")
+    print(f"at most {after[-1][2]:.0f} MB in the search, {resident(peak=True):.0f} MB in all")
 
 
 if __name__ == "__main__":

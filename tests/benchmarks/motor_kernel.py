@@ -6,16 +6,14 @@ is restarted at every command, which is kind to it, and gets its loosest relativ
 Times are CPU time of the calling thread; trials/s over all threads is wall-clock time.
 """
 
-import argparse
 import os
 import time
-from pathlib import Path
 
 import numpy as np
 from numba import njit
 from scipy.integrate import solve_ivp
 
-from paired import best, loosest, mean_nrmse, write_json
+from paired import best, flags, loosest, mean_nrmse, report
 from sysid.motor import model
 from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population
 from sysid.motor.kernel import INERTIA, K_D, K_M, K_V, REVERSE, TORQUE, L, R
@@ -56,11 +54,8 @@ def lsoda(levels, row, rtol):
 
 
 def main():
-    """Measure, print the table, write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--population", type=int, default=200)
-    arguments = parser.parse_args()
+    """Measure, print, write the JSON."""
+    arguments = flags(__doc__, population=200).parse_args()
     source = np.random.default_rng(0)
     levels = source.uniform(0.25, 1.0, (8, 4))
     row = model.kernel_rows(model.pack({}))
@@ -81,18 +76,16 @@ def main():
             for run in [model.simulate({}, INSTANTS, u, GRID, initial="steady", tolerance=tolerance)]
         )
         error, rival = mean_nrmse(fitted, exact), loosest(lambda rtol, u=u: lsoda(u, row, rtol), exact, 3)
-        table.append({"error": error, **{f"lsoda_{name}": value for name, value in rival.items()}})
-        print(
-            f"ours {1e6 * ours:6.1f} µs, {100 * error:.4f} %   LSODA {1e3 * rival['seconds']:6.2f} ms at "
-            f"rtol {rival['rtol']:g}, {100 * rival['error']:.4f} %   ratio {rival['seconds'] / ours:.0f}"
-        )
-    ratio = float(np.median([entry["lsoda_seconds"] for entry in table])) / ours
-    print(
-        f"median ratio {ratio:.0f} on one core; {count / wall:.0f} trials/s on {os.cpu_count()} cores, "
-        f"population {arguments.population}"
-    )
-    result = {"seconds": ours, "trials_per_second": count / wall, "median_ratio": ratio, "trials": table}
-    write_json(arguments.json, result)
+        ratio = rival["seconds"] / ours
+        table.append({"error": error, "ratio": ratio, **{f"lsoda_{name}": v for name, v in rival.items()}})
+    result = {
+        "seconds": ours,
+        "cores": os.cpu_count(),
+        "trials_per_second": count / wall,
+        "median_ratio": float(np.median([entry["ratio"] for entry in table])),
+        "trials": table,
+    }
+    report(result, arguments.json)
 
 
 if __name__ == "__main__":

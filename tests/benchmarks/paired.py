@@ -1,5 +1,6 @@
-"""What the benchmarks share: times and errors of two ways of one computation, memory, results."""
+"""What the benchmarks share: flags, times and errors of two ways of one computation, memory, results."""
 
+import argparse
 import json
 import math
 import os
@@ -12,6 +13,19 @@ import numpy as np
 # Mean NRMSE that another method must keep, at the loosest of these relative tolerances that does.
 LIMIT = 1e-3
 TOLERANCES = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7)
+
+
+def flags(doc, *, json=True, **defaults):
+    """Read the flags of a benchmark, ``--json PATH`` among them: a default states its kind, None a number."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
+    for name, default in defaults.items():
+        how = {"type": int if default is None else type(default)}
+        if isinstance(default, bool):
+            how = {"action": "store_true"}
+        parser.add_argument(f"--{name.replace('_', '-')}", default=default, **how)
+    if json:
+        parser.add_argument("--json", type=Path, help="file that the numbers go into")
+    return parser
 
 
 def best(call, repeats, clock=time.thread_time):
@@ -62,8 +76,18 @@ def memory(peak=True):
     return getattr(sizes, "peak_wset", math.nan) if peak else sizes.rss
 
 
-def write_json(path, result):
-    """Write a result and the machine it is of, if a path is given."""
+def numbers(result, place=""):
+    """Yield a line for every number of a nested result, with its place in it."""
+    if isinstance(result, (dict, list)):
+        for key, part in result.items() if isinstance(result, dict) else enumerate(result):
+            yield from numbers(part, f"{place}, {key}" if place else str(key))
+    else:
+        yield f"{place}: {f'{result:.4g}' if isinstance(result, float) else result}"
+
+
+def report(result, path):
+    """Print every number of a result; write it, with the machine it is of, if a path is given."""
+    print("\n".join(numbers(result)), flush=True)
     if path is not None:
         result = {"machine": platform.platform(), "cores": os.cpu_count(), **result}
         path.write_text(json.dumps(result, indent=1), encoding="utf-8")

@@ -6,14 +6,13 @@ population 200 on eight 2-s trials at 10 kHz. With other programs on the machine
 wall clock says little.
 """
 
-import argparse
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from paired import measured, write_json
+from paired import flags, measured, report
 from sysid.gear.model import SURFACES, prepare
 from sysid.synthetic.motor import TRUE_MOTOR, TrialPlan, synthesize_motor
 from sysid.workflows.fit import fit_gear, fit_motor
@@ -62,11 +61,8 @@ def whole_fit(problem, options, folder):
 
 def main():
     """Measure, print, write the JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = flags(__doc__, threads=None, population=None)
     parser.add_argument("problems", nargs="*", choices=[*SURFACES, "motor"], default=[*SURFACES, "motor"])
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--threads", type=int)
-    parser.add_argument("--population", type=int)
     parser.add_argument("--algorithm")
     parser.add_argument("--finish")
     chosen = vars(parser.parse_args())
@@ -78,9 +74,7 @@ def main():
     for problem in problems:
         with tempfile.TemporaryDirectory() as folder:
             results[problem] = whole_fit(problem, options, Path(folder))
-        for name, value in results[problem].items():
-            print(f"{problem}, {name}: {f'{value:.4g}' if isinstance(value, float) else value}")
-    write_json(path, {"fits": results})
+    report({"fits": results}, path)
 
 
 if __name__ == "__main__":
