@@ -59,6 +59,7 @@ def test_momentum_in_flight(surface):
     time = np.linspace(0, 0.5, 101)
     run = simulate(NOMINAL, 0.2, None, time, state=state, tolerance=1e-8, surface=surface)
     assert run.normal_force.max() == 0
+    assert (run.status, run.reached) == (Status.OK, pytest.approx(0.5))
     p, s = NOMINAL, run.state
     masses = [p["body_mass"], p["leg_mass"], p["leg_mass"]]
     parts = [(s[:, :2].T, s[:, 7:9].T, p["body_inertia"] * s[:, 9])]
@@ -130,16 +131,6 @@ def test_creep_on_a_slope_below_the_friction_angle(slope_deg):
     along = run.state[-1, 7] * math.cos(slope) - run.state[-1, 8] * math.sin(slope)
     # Both feet share one speed once the legs have stopped spreading; after 4 s within 2 %.
     assert along == pytest.approx(NOMINAL["slip_regularization"] * ratio / (1 - ratio), rel=0.02)
-
-
-def test_a_drop_that_never_touches_falls_freely():
-    time = np.linspace(0, 0.4, 41)
-    run = simulate(NOMINAL, 0.1, [0.2, 5.0, 0.1, 0.3, 0.0, 0.7], time)
-    assert run.status is Status.OK
-    weight_shift = run.state[:, 1] - (5.0 - 0.5 * NOMINAL["gravity"] * time**2)
-    # Legs at rest in a body that turns at 0.7 rad/s swing by less than a millimetre.
-    assert np.abs(weight_shift).max() < 1e-3
-    assert run.reached == pytest.approx(0.4)
 
 
 @pytest.mark.parametrize("clock", [np.linspace(0, 0.5, 6), np.array([3.0, 3.001, 3.0013, 3.2, 3.5])])
