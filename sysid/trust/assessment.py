@@ -43,7 +43,7 @@ from sysid.trust.linearized import (
 )
 from sysid.trust.problem import scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
-from sysid.trust.terms import placed, searched
+from sysid.trust.terms import searched, starting_point
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray, IntArray
 
@@ -194,7 +194,7 @@ def assess(
         if wider is not None and len(wider.space.free) > len(start):
             tell("all terms that the model may lack, fitted together")
             values = dict(zip(problem.space.names, problem.space.decode(linear.point).tolist(), strict=True))
-            far, _ = searched(wider, placed(problem, wider, values))
+            far, _ = searched(wider, starting_point(problem, wider, values))
             others.append(linearize_widened(wider.exact, far))
         walked = not_narrower(walked, problem.space, others)
     resampled = None

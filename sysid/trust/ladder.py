@@ -37,7 +37,7 @@ from sysid.parameters import SearchSpace
 from sysid.trust.assessment import linearize_widened
 from sysid.trust.least_squares import solve
 from sysid.trust.problem import scales
-from sysid.trust.terms import TOLERANCE, downhill, freed, placed, searched
+from sysid.trust.terms import TOLERANCE, downhill, freed, searched, starting_point
 from sysid.types import FloatArray
 
 # A term is kept up to this probability of chance, if it gains at least this [1]. A chance that the covariance
@@ -156,7 +156,7 @@ class Climber:
 
     def _alone(self, base: TermFit, term: Term) -> TermFit:
         problem = freed(self._problem, (term,))
-        starts = np.repeat(placed(self._problem, problem, base.values)[None], len(_STARTS), axis=0)
+        starts = np.repeat(starting_point(self._problem, problem, base.values)[None], len(_STARTS), axis=0)
         new = slice(len(self._start), None)
         starts[:, new] = np.clip(starts[:, new] + np.array(_STARTS)[:, None], 0.0, 1.0)
         return self._fitted((term,), problem, starts)
@@ -165,7 +165,7 @@ class Climber:
         """Return the terms to keep, one more on each rung, the most certain first."""
         terms = tuple(rung.terms[0] for rung in alone)
         problem = freed(self._problem, terms)
-        start = placed(self._problem, problem, base.values)
+        start = starting_point(self._problem, problem, base.values)
         rung = self._rated(terms, problem, *searched(problem, start))
         while rung.terms:
             rung, chances = self._by_certainty(rung, len(terms))
@@ -193,7 +193,7 @@ class Climber:
         for term in rung.terms:
             of = [space.names.index(name) for name in term.parameters]
             none = {name: self._problem.space.fixed[name] for name in term.parameters}
-            way = (linear.point - placed(self._problem, rung.problem, {**rung.values, **none}))[of]
+            way = (linear.point - starting_point(self._problem, rung.problem, {**rung.values, **none}))[of]
             inverse = np.linalg.pinv(linear.information.covariance[np.ix_(of, of)], hermitian=True)
             square = float(way @ inverse @ way)
             wald.append(square / len(of))
@@ -207,7 +207,7 @@ class Climber:
         for term in reversed(terms):
             alone |= self._found[term]
         problem = freed(self._problem, terms)
-        starts = [placed(self._problem, problem, values) for values in (rung.values, alone)]
+        starts = [starting_point(self._problem, problem, values) for values in (rung.values, alone)]
         return self._fitted(terms, problem, np.array(starts))
 
     def _fitted(self, terms: tuple[Term, ...], problem: Problem, starts: FloatArray) -> TermFit:

@@ -29,7 +29,7 @@ def freed(problem: Problem, terms: Sequence[Term]) -> Problem:
     return replace(problem, space=SearchSpace(space.table, (*space.free, *extra), fixed))  # type: ignore[type-var]
 
 
-def placed(problem: Problem, wider: Problem, values: Mapping[str, float]) -> FloatArray:
+def starting_point(problem: Problem, wider: Problem, values: Mapping[str, float]) -> FloatArray:
     """Return the point (n,) [unit cube] of `wider` at values by name [SI]; what they lack is off.
 
     `problem` lacks the terms, and says what off is.
