@@ -33,10 +33,8 @@ COLOURS: dict[Outcome, str] = {
 # Contour levels of the mean distance [m] and of the mean time [s].
 _DISTANCES = (0.1, 0.2, 0.45, 1.0)
 _TIMES = (0.5, 1.0, 2.0)
-_DISTANCE_COLOUR, _TIME_COLOUR, _LIMIT_COLOUR = "#000000", "#00224E", BEST
 # Line styles of static limits by the legs; no contour has them.
 _LIMIT_STYLES: dict[str, Style] = {"rigid": {"linestyle": "dashdot"}, "bending": {"linestyle": "dotted"}}
-_TIME_STYLE = (0, (4, 2))
 # Look of the slopes above a map.
 _BEYOND: Style = {"facecolor": "#F2F2F2", "hatch": "////", "edgecolor": "#BBBBBB", "linewidth": 0.0}
 # Greatest distance above a map at which a static limit still extends the axis [deg].
@@ -293,8 +291,8 @@ def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legen
     """Draw mean distance and time; one label per level, where it is clear of all others, or none."""
     landed = chart.landed >= 0.5
     for values, levels, colour, style, unit, name in (
-        (chart.mean_distance, _DISTANCES, _DISTANCE_COLOUR, "solid", "m", "mean distance to rest"),
-        (chart.mean_time, _TIMES, _TIME_COLOUR, _TIME_STYLE, "s", "mean time to rest"),
+        (chart.mean_distance, _DISTANCES, "#000000", "solid", "m", "mean distance to rest"),
+        (chart.mean_time, _TIMES, "#00224E", (0, (4, 2)), "s", "mean time to rest"),
     ):
         # Means over cells in which few sets land say little, and their contours are a tangle.
         known = np.where(landed & np.isfinite(values), values, np.nan)
@@ -362,7 +360,7 @@ def _draw_limits(axes: Axes, limit: DrawnLimits) -> str:
     outside: dict[str, list[str]] = {}
     for legs, slope in limit.slopes.items():
         if low <= slope <= high:
-            axes.axhline(slope, color=_LIMIT_COLOUR, linewidth=1.6, **_LIMIT_STYLES[legs])
+            axes.axhline(slope, color=BEST, linewidth=1.6, **_LIMIT_STYLES[legs])
         else:
             outside.setdefault("above" if slope > high else "below", []).append(f"{slope:.0f}° ({legs} legs)")
     words = "; ".join(f"{where}: {', '.join(names)}" for where, names in outside.items())
@@ -386,7 +384,7 @@ def _name_limits(legend: MapLegend, maps: Sequence[LandingMap], limits: Limits, 
     for legs in _LIMIT_STYLES:
         if legs in drawn:
             label = f"static limit of the first set, {legs} legs ({thrust})"
-            legend[label] = Line2D([], [], color=_LIMIT_COLOUR, **_LIMIT_STYLES[legs])
+            legend[label] = Line2D([], [], color=BEST, **_LIMIT_STYLES[legs])
 
 
 def _draw_experiments(axes: Axes, chosen: Sequence[Experiment], legend: MapLegend) -> None:

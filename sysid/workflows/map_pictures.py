@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -73,7 +73,8 @@ def landing_map(
     fleets, settings = _opened(gears, MotorOptions(Path(motor)), slopes, speeds)
     chosen = chosen_controllers(controllers, settings.rules.horizon)
     maps = landing_maps(fleets, chosen, settings)
-    return LandingMaps(MapFile(maps, (), _settings(settings, limits_of(fleets, chosen)), {}))
+    stated = {"rules": asdict(settings.rules), "static_limits": limits_of(fleets, chosen)}
+    return LandingMaps(MapFile(maps, (), stated, {}))
 
 
 def impulse_map(
@@ -97,7 +98,8 @@ def impulse_map(
     impulses = ImpulseSettings(*tried, ideal_reversal=ideal_reversal)
     best, maps = impulse_maps(fleets, settings, impulses)
     limits = limits_of(fleets, after_impulses(impulses))
-    return LandingMaps(MapFile(maps, best, _settings(settings, limits), {}))
+    stated = {"rules": asdict(settings.rules), "static_limits": limits}
+    return LandingMaps(MapFile(maps, best, stated, {}))
 
 
 def _opened(
@@ -105,7 +107,3 @@ def _opened(
 ) -> tuple[Fleets, MapSettings]:
     settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
     return open_fleets(motors, [Path(gear) for gear in gears])[0], settings
-
-
-def _settings(settings: MapSettings, limits: Any) -> dict[str, Any]:
-    return {"rules": asdict(settings.rules), "static_limits": limits}
