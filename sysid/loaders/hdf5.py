@@ -14,7 +14,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,8 +22,11 @@ from sysid.errors import LogError, SysidError
 from sysid.loaders.source import Source, length_note, shortened
 from sysid.types import FloatArray
 
+if TYPE_CHECKING:
+    import h5py
+
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
-# What begins a global heap, and the bytes before each of its texts.
+# First bytes of a global heap, and length of what precedes each of its texts [bytes].
 _HEAP, _HEAD = b"GCOL\x01\0\0\0", 16
 # Largest ratio of samples to stored bytes of one signal: compression of a constant gains less.
 _LARGEST_GAIN = 1000
@@ -43,7 +46,7 @@ def _most_bytes(path: str) -> int:
     return max(_GAIN * Path(path).stat().st_size, _SMALL)
 
 
-def attribute_value(value: Any) -> Any:
+def attribute_value(value: object) -> object:
     """Return an attribute as a number or as text, whatever of the two HDF5 wrapped."""
     value = value.item() if isinstance(value, np.ndarray | np.generic) and value.size == 1 else value
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
@@ -52,7 +55,7 @@ def attribute_value(value: Any) -> Any:
 class Hdf5Log:
     """An open HDF5 log: its `file`, `datasets` by path, and `notes`."""
 
-    def __init__(self, path: str, file: Any) -> None:
+    def __init__(self, path: str, file: h5py.File) -> None:
         self.path, self.file = path, file
         self._bytes = Path(path).stat().st_size
         self._left = float(_most_bytes(path))
@@ -69,11 +72,11 @@ class Hdf5Log:
             return self._bytes
         return int(struct.unpack_from("<Q", head, places[head[8]])[0])
 
-    def _found(self) -> dict[str, Any]:
+    def _found(self) -> dict[str, h5py.Dataset]:
         import h5py
 
-        items: dict[str, Any] = {}
-        links: dict[str, Any] = {}
+        items: dict[str, h5py.HLObject] = {}
+        links: dict[str, h5py.HardLink] = {}
         self.file.visititems(lambda name, item: items.setdefault("/" + name, item) and None)
         self.file.visititems_links(lambda name, link: links.setdefault("/" + name, link) and None)
         for name, link in links.items():
@@ -91,7 +94,7 @@ class Hdf5Log:
                 )
         return {name: item for name, item in items.items() if isinstance(item, h5py.Dataset)}
 
-    def numbers(self, name: str, dataset: Any, column: int | None = None) -> FloatArray:
+    def numbers(self, name: str, dataset: h5py.Dataset, column: int | None = None) -> FloatArray:
         """Return a dataset, or a column of it, as numbers."""
         if dataset.dtype.kind not in "iuf" or dataset.size is None:
             raise LogError(f"{self.path}: dataset {name} is {dataset.dtype}; expected one row of numbers")

@@ -28,7 +28,7 @@ SPACES = " "
 # A line of fewer words than this may be prose: its spaces part no columns.
 _FEWEST_WORDS = 4
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
-# What Excel writes before a table, to itself: which character parts its cells. The line's end stays.
+# Line before a table by which Excel tells itself the character between cells, without the line's end.
 _SEPARATOR = re.compile(rb'\A[ ]*"?sep=[^\r\n"]?"?[,;\t ]*(?=[\r\n])', re.IGNORECASE)
 # Most characters of a sentence about a log. A longer one keeps its end, which says what to do.
 _LONGEST = 1200

@@ -178,11 +178,11 @@ def _actual_frames(file: _C3d) -> int | None:
     return ends[1] - ends[0] + 1
 
 
-def _rate(path: str, stated: Any) -> float:
+def _rate(path: str, stated: float) -> float:
     try:
         return known_rate(float(stated))
     except ValueError:
-        raise LogError(f"{path}: states {stated!r} frames per second; export it again") from None
+        raise LogError(f"{path}: states {float(stated)!r} frames per second; export it again") from None
 
 
 def _labels(file: _C3d, group: str, count: int, default: str) -> list[str]:

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,6 +34,9 @@ from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, Signal, signal_format
 from sysid.loaders.source import Source
 from sysid.types import FloatArray
+
+if TYPE_CHECKING:
+    import h5py
 
 # The attribute that marks a file in the layout of `sysid_hdf5`.
 LAYOUT_ATTRIBUTE = "sysid_recording"
@@ -55,7 +58,7 @@ def _recognize(source: Source) -> int:
         return POSSIBLE  # the reader refuses it
 
 
-def _attribute(dataset: Any, names: tuple[str, ...]) -> Any:
+def _attribute(dataset: h5py.Dataset, names: tuple[str, ...]) -> object:
     """Return the first attribute of one of these names on a dataset, its groups or the file; None if none."""
     node = dataset
     while True:
@@ -67,7 +70,7 @@ def _attribute(dataset: Any, names: tuple[str, ...]) -> Any:
         node = node.parent
 
 
-def _values(log: Hdf5Log, name: str, dataset: Any, column: int | None) -> FloatArray:
+def _values(log: Hdf5Log, name: str, dataset: h5py.Dataset, column: int | None) -> FloatArray:
     """Return a dataset, or a column of it, as one row of numbers."""
     shape = dataset.shape or ()
     if column is None and sum(size != 1 for size in shape) > 1:
@@ -77,14 +80,14 @@ def _values(log: Hdf5Log, name: str, dataset: Any, column: int | None) -> FloatA
     return log.numbers(name, dataset, column).reshape(-1)
 
 
-def _columns(dataset: Any) -> Sequence[int | None]:
+def _columns(dataset: h5py.Dataset) -> Sequence[int | None]:
     """Return the columns of a matrix of signals, or None alone for a dataset that is one signal."""
     shape: tuple[int, ...] = dataset.shape or ()
     matrix = len(shape) == 2 and 1 < shape[1] <= _MOST_COLUMNS and shape[0] >= 2
     return range(shape[1]) if matrix and dataset.dtype.kind in "iuf" else (None,)
 
 
-def _signal(log: Hdf5Log, name: str, dataset: Any, column: int | None) -> Signal:
+def _signal(log: Hdf5Log, name: str, dataset: h5py.Dataset, column: int | None) -> Signal:
     """Return a dataset as a signal, whose samples are read and checked only on demand."""
     unit = attribute_value(dataset.attrs.get("unit", dataset.attrs.get("units")))
     start = _attribute(dataset, ("start",))

@@ -16,7 +16,7 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
 from sysid.recording import Channel, FloatArray, Provenance, Recording
 from sysid.storage import write_file
+
+if TYPE_CHECKING:
+    import h5py
 
 _NAME = "sysid-hdf5"
 _VERSION = 1
@@ -81,7 +84,7 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
     return Path(path)
 
 
-def _place(group: Any, name: str, index: int) -> str:
+def _place(group: h5py.Group, name: str, index: int) -> str:
     """Return where a channel goes: its name, or its number where the name is no path or is taken."""
     import h5py
 
@@ -95,19 +98,19 @@ def _place(group: Any, name: str, index: int) -> str:
     return name
 
 
-def _dataset(group: Any, name: str, values: FloatArray) -> Any:
+def _dataset(group: h5py.Group, name: str, values: FloatArray) -> h5py.Dataset:
     packed = {"compression": "gzip", "shuffle": True} if values.size else {}
     return group.create_dataset(name, data=values, **packed)
 
 
-def _note(stated: Any) -> Finding:
+def _note(stated: object) -> Finding:
     """Return a note as it was written; files of older versions have its sentence alone."""
     if isinstance(stated, dict):
         return Finding(str(stated["code"]), str(stated["sentence"]), stated.get("severity", "note"))
     return note("stated", str(stated))
 
 
-def _text(attributes: Any, key: str) -> str:
+def _text(attributes: h5py.AttributeManager, key: str) -> str:
     return str(attribute_value(attributes.get(key, "")))
 
 

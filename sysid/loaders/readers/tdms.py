@@ -20,7 +20,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,6 +34,9 @@ from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.signal_log import SIGNAL_OPTIONS, RawSignals, Signal, signal_format, written_unit
 from sysid.loaders.source import Source, length_note
 from sysid.types import FloatArray
+
+if TYPE_CHECKING:
+    import nptdms
 
 _THINNED = re.compile(r"Decimated Data_Level\d+$")
 # Clocks of a computer and a device drift apart by less than this.
@@ -102,7 +106,7 @@ def _recognize(source: Source) -> int:
     return CERTAIN if source.head.startswith(b"TDSm") else NO
 
 
-def _samples(channel: Any) -> FloatArray:
+def _samples(channel: nptdms.TdmsChannel) -> FloatArray:
     values = channel[:]
     if values.dtype.kind == "M":  # a channel of time stamps, usable as a clock
         return np.asarray((values - values[0]) / np.timedelta64(1, "ns"), dtype=np.float64) * 1e-9
@@ -129,19 +133,19 @@ def _check_segments(
     return [note("parts-joined", f"{doubt}; all samples taken as consecutive, as declared by rate")]
 
 
-def _signals(path: str, file: Any, notes: list[Finding], declared: float | None) -> list[Signal]:
+def _signals(path: str, file: nptdms.TdmsFile, notes: list[Finding], declared: float | None) -> list[Signal]:
     restarts, end = _waveform_starts(path)
     notes += length_note(end, Path(path).stat().st_size)
     signals, thinned, other, spectra = [], [], [], []
     waves = [(group, channel) for group in file.groups() for channel in group.channels()]
-    begins = {}
+    begins: dict[str, np.datetime64] = {}
     for _, channel in waves:
         start = channel.properties.get("wf_start_time")
         if channel.path in restarts:
             begins[channel.path] = restarts[channel.path].first
         elif isinstance(start, np.datetime64) and start > np.datetime64("1905-01-01"):
             begins[channel.path] = start  # LabVIEW's zero, the year 1904, is no start
-    first: Any = min(begins.values(), default=None)
+    first = min(begins.values(), default=_EPOCH)
     for group, channel in waves:
         name = f"/{group.name}/{channel.name}"
         properties = channel.properties
@@ -173,7 +177,7 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
         signals.append(
             Signal(name, written_unit(unit), partial(_samples, channel), rate, begin, label=channel.name)
         )
-    if first is not None:
+    if begins:
         notes.append(note("recording-began", f"recording began at {first} UTC"))
     if thinned:
         notes.append(note("thinned-copies-left-out", f"thinned copies, left out: {len(thinned)}"))
@@ -183,9 +187,9 @@ def _signals(path: str, file: Any, notes: list[Finding], declared: float | None)
 
 
 @contextmanager
-def _heard(nptdms: Any, notes: list[Finding]) -> Iterator[None]:
+def _heard(module: ModuleType, notes: list[Finding]) -> Iterator[None]:
     """Make notes of what the library says of a file, once each, instead of lines on the terminal."""
-    handler, said = nptdms.log.log_manager.console_handler, io.StringIO()
+    handler, said = module.log.log_manager.console_handler, io.StringIO()
     before = handler.setStream(said)
     try:
         yield
