@@ -13,7 +13,7 @@ from matplotlib.patches import Arc, FancyBboxPatch
 
 from sysid.gear.surfaces import high_friction
 from sysid.report.drawing import Point, Style, arrow, directions, draw_line, panel
-from sysid.report.drop_replay import Drone, DropReplay, drone_of
+from sysid.report.drop_replay import DroneShape, DropReplay, drone_of
 from sysid.report.html import Html
 from sysid.report.snapshots import BODY, FRICTION, NORMAL, draw_drone, draw_slope
 from sysid.types import FloatArray
@@ -78,7 +78,7 @@ def figure_geometry(values: Mapping[str, float], slope: float) -> Figure:
     return figure
 
 
-def _lengths(axes: Axes, drone: Drone, unit: float, arm: float) -> None:
+def _lengths(axes: Axes, drone: DroneShape, unit: float, arm: float) -> None:
     def dimension(start: tuple[float, float], end: tuple[float, float]) -> None:
         arrow(axes, start, end, _DIMENSION, 0.9, zorder=5, arrowstyle="<|-|>", mutation_scale=7)
 
@@ -101,7 +101,7 @@ def _lengths(axes: Axes, drone: Drone, unit: float, arm: float) -> None:
         _write(axes, (x + 5 * side, height * z), f"${symbol}$ = {-z:.0f} mm", _DIMENSION, fontsize=8, **look)
 
 
-def _forces(axes: Axes, drone: Drone, unit: float, along: FloatArray, normal: FloatArray) -> None:
+def _forces(axes: Axes, drone: DroneShape, unit: float, along: FloatArray, normal: FloatArray) -> None:
     arrow(axes, (0, 0), (0, -0.5 * unit), _WEIGHT)
     # On the left of the arrow: the angle of the leg is written on its right.
     _write(axes, (-6, -0.5 * unit), r"$m_B\,g$", _WEIGHT)
@@ -130,7 +130,7 @@ def _write(axes: Axes, place: Point, words: str, colour: str, **look: Any) -> No
     axes.text(float(place[0]), float(place[1]), words, color=colour, **chosen)
 
 
-def _frames(axes: Axes, drone: Drone, unit: float, along: FloatArray, normal: FloatArray) -> None:
+def _frames(axes: Axes, drone: DroneShape, unit: float, along: FloatArray, normal: FloatArray) -> None:
     size = 0.3 * unit
     up, right = np.array([0.0, 1.0]), np.array([1.0, 0.0])
     rear, foot = drone.feet

@@ -145,7 +145,7 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
 
 
 @dataclass(frozen=True, eq=False)
-class Drone:
+class DroneShape:
     """A drone at rest in side view, x forward and z up from the centre of mass, rear before front [m]."""
 
     joints: FloatArray
@@ -155,7 +155,7 @@ class Drone:
     rods: FloatArray
 
 
-def drone_of(values: Mapping[str, float], scale: float = 1.0) -> Drone:
+def drone_of(values: Mapping[str, float], scale: float = 1.0) -> DroneShape:
     """Return the drone of a set: joints and feet as fitted; hull, masts and propellers are only its looks."""
 
     def pair(x: float, z: float) -> FloatArray:
@@ -167,7 +167,7 @@ def drone_of(values: Mapping[str, float], scale: float = 1.0) -> Drone:
     propeller = pair(_PROPELLER * arm, 0.0)
     rods = [ends, *zip(ends, tips, strict=True), *(tip + propeller for tip in tips)]
     hull = np.concatenate([joints, pair(-_TOP * arm, _HEIGHT * arm)])
-    return Drone(joints, feet, hull, np.array(rods))
+    return DroneShape(joints, feet, hull, np.array(rods))
 
 
 def placed(points: FloatArray, body: FloatArray) -> FloatArray:

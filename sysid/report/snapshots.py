@@ -13,7 +13,7 @@ from matplotlib.patches import Polygon
 
 from sysid.errors import ExportError
 from sysid.report.drawing import WIDTH, arrow, directions, draw_legend, draw_line, panels
-from sysid.report.drop_replay import Drone, DropReplay, drone_of, placed
+from sysid.report.drop_replay import DroneShape, DropReplay, drone_of, placed
 from sysid.storage import check_file
 from sysid.types import FloatArray
 
@@ -87,8 +87,8 @@ def draw_slope(axes: Axes, slope: float, far: float, origin: FloatArray | float 
 
 
 def draw_drone(
-    axes: Axes, drone: Drone, body: FloatArray, feet: FloatArray, colour: str, face: str, width: float, *,
-    zorder: int,
+    axes: Axes, drone: DroneShape, body: FloatArray, feet: FloatArray, colour: str, face: str, width: float,
+    *, zorder: int,
 ) -> None:  # fmt: skip
     """Draw a drone in frame N: its body (3,) at x_B, z_B and pitch, its feet (2, 2)."""
     for leg in np.stack([placed(drone.joints, body), feet], axis=1):
