@@ -188,7 +188,7 @@
         const sine = Math.sin(q / 1e4), cosine = Math.cos(q / 1e4);
         return ([a, b]) => [x + a * cosine + b * sine, z - a * sine + b * cosine];
       }
-      /* The drone as sysid.report.drop_replay.Drone describes it; without feet of its own its legs are at rest. */
+      /* The drone as sysid.report.drop_replay.DroneShape describes it; without feet of its own its legs are at rest. */
       function shape(pose, feet, colour, thick, fill) {
         const body = placed(pose);
         c.strokeStyle = colour; c.lineWidth = thick; c.lineCap = "round";
