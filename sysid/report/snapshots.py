@@ -14,7 +14,6 @@ from matplotlib.patches import Polygon
 from sysid.errors import ExportError
 from sysid.report.drawing import WIDTH, arrow, directions, draw_legend, draw_line, panels
 from sysid.report.drop_replay import DroneShape, DropReplay, drone_of, placed
-from sysid.storage import check_file
 from sysid.types import FloatArray
 
 NORMAL, FRICTION = "#0072B2", "#D55E00"
@@ -100,15 +99,11 @@ def draw_drone(
     axes.add_patch(Polygon(hull, facecolor=face, edgecolor=colour, linewidth=width, zorder=zorder))
 
 
-def check_film(path: Path, force: bool) -> None:
-    """Raise an ExportError for a film that cannot be written, before anything is drawn.
-
-    Its file exists and `force` is off, its suffix is unknown, or ffmpeg is missing.
-    """
+def check_film(path: Path) -> None:
+    """Raise an ExportError for a film of an unknown suffix, or where ffmpeg is missing."""
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
         raise ExportError(f"{path}: unknown film format {suffix!r}; expected .gif or .mp4")
-    check_file(path, force=force, error_type=ExportError)
     if suffix == ".mp4" and shutil.which("ffmpeg") is None:
         raise ExportError(f"{path}: ffmpeg was not found, and MP4 needs it; install ffmpeg, or write a .gif")
 

@@ -200,8 +200,6 @@ def _check_targets(options: ReportOptions, out: Path) -> None:
     for path in options.films:
         if targets.count(path.resolve()) > 1:
             raise ExportError(f"{path}: is named for two files of one report; give each another name")
-    # A report in the folder of its fit takes the place of an older one.
-    check_file(out, force=options.force or options.out is None, error_type=ExportError)
     figures = options.figure
     if figures is not None:
         if figures.exists() and not figures.is_dir():
@@ -210,6 +208,9 @@ def _check_targets(options: ReportOptions, out: Path) -> None:
             raise ExportError(f"{figures}: has PDF files already; choose a new folder or add --force")
     if options.drop is not None and not options.films:
         raise SysidError("--drop names the drop of a film; add --gif FILE or --mp4 FILE")
-    if options.films:
-        for path in options.films:
-            check_film(path, options.force)
+    for path in options.films:
+        check_film(path)
+    # A report in the folder of its fit takes the place of an older one.
+    check_file(out, force=options.force or options.out is None, error_type=ExportError)
+    for path in options.films:
+        check_file(path, force=options.force, error_type=ExportError)

@@ -66,7 +66,7 @@ def test_what_report_refuses(tmp_path, refused):
 def test_a_film_needs_ffmpeg_or_another_name(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", os.devnull)
     with pytest.raises(ExportError, match=r"ffmpeg was not found.*write a \.gif"):
-        check_film(tmp_path / "a.mp4", False)
+        check_film(tmp_path / "a.mp4")
     with pytest.raises(ExportError, match=r"expected \.gif or \.mp4"):
-        check_film(tmp_path / "a.avi", False)
-    check_film(tmp_path / "a.gif", False)
+        check_film(tmp_path / "a.avi")
+    check_film(tmp_path / "a.gif")
