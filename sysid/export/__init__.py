@@ -30,12 +30,7 @@ def export(sets: ParameterSets, path: str | Path) -> Path:
     """Write ranked parameter sets in the format that the suffix of `path` names, and return the path.
 
     The suffix is ``.json``, ``.csv``, ``.h5`` or ``.mat``. An existing file is replaced, and only once the
-    new one is complete.
-
-    Raises
-    ------
-    ExportError
-        For another suffix, and when the file cannot be written; an existing one is then unchanged.
+    new one is complete. ExportError for another suffix, and when the file cannot be written.
     """
     path = Path(path)
     writer = _WRITERS.get(path.suffix.lower())
@@ -53,12 +48,8 @@ def export(sets: ParameterSets, path: str | Path) -> Path:
 def load_parameter_sets(path: str | Path) -> ParameterSets:
     """Read parameter sets from any file that `export` writes, or from a fit folder.
 
-    They are equal to what was written, bit for bit.
-
-    Raises
-    ------
-    ExportError
-        When there is no file, it is foreign, damaged, cut off or of an unknown schema version.
+    They are equal to what was written, bit for bit. ExportError when there is no file, it is foreign,
+    damaged, cut off or of an unknown schema version.
     """
     path = Path(path)
     file = path / "fit.json" if path.is_dir() else path

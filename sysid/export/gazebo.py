@@ -7,31 +7,17 @@ the same in both directions of rotation, and knows no dead band.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-
 from sysid.export.xml import document
+from sysid.motor.nearest_lag import FirstOrderRotor
 
 
-@dataclass(frozen=True)
-class MotorPlugin:
-    """Numbers that the plugin reads, in the units of `UNITS`."""
-
-    timeConstantUp: float
-    timeConstantDown: float
-    maxRotVelocity: float
-    motorConstant: float
-    momentConstant: float
-
-
-UNITS = {
-    "timeConstantUp": "s, while the speed grows",
-    "timeConstantDown": "s, while it falls",
-    "maxRotVelocity": "rad/s, loaded, at full forward command",
-    "motorConstant": "N s^2/rad^2, forward",
-    "momentConstant": "m, drag torque over thrust, forward",
-}
-
-
-def to_sdf(plugin: MotorPlugin, *, name: str = "motor", notes: tuple[str, ...] = ()) -> bytes:
+def to_sdf(rotor: FirstOrderRotor, *, name: str = "motor", notes: tuple[str, ...] = ()) -> bytes:
     """Return an SDF document with the plugin of each rotor of a quadrotor; notes become comments."""
-    return document("gazebo.sdf.j2", plugin=asdict(plugin), units=UNITS, name=name, notes=list(notes))
+    numbers = (
+        ("timeConstantUp", rotor.time_constant_up, "s, while the speed grows"),
+        ("timeConstantDown", rotor.time_constant_down, "s, while it falls"),
+        ("maxRotVelocity", rotor.maximum_speed, "rad/s, loaded, at full forward command"),
+        ("motorConstant", rotor.thrust_constant, "N s^2/rad^2, forward"),
+        ("momentConstant", rotor.moment_constant, "m, drag torque over thrust, forward"),
+    )
+    return document("gazebo.sdf.j2", numbers=list(numbers), name=name, notes=list(notes))

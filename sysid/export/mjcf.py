@@ -89,27 +89,13 @@ def to_mjcf(
     timestep: float | None = None,
     notes: Sequence[str] = (),
 ) -> bytes:
-    """Return the MJCF document of one gear set.
+    """Return the MJCF document of one gear set, `values` by name as in `sysid.gear.model.PARAMETERS` [SI].
 
-    Parameters
-    ----------
-    values : mapping of str to float
-        By name, as in `sysid.gear.model.PARAMETERS` [SI]; rows of leg pairs.
-    sticks : bool
-        Whether slow feet stick (high friction) or creep (low friction).
-    slope : float
-        Of the ground [rad], falling toward +x.
-    per_leg : bool
-        Four legs in space, each with half the values of its pair, instead of one planar leg per pair.
-    timestep : float, optional
-        [s]; by default short enough for the ringing of a foot on the ground, 0.1 ms or less.
-    notes : sequence of str
-        Become comments.
-
-    Raises
-    ------
-    ExportError
-        When a value is missing or not finite, or the slope is not between -85 and 85 deg.
+    Slow feet stick (high friction) or creep (low friction) on a ground of a `slope` [rad], which falls toward
+    +x. With `per_leg` there are four legs in space, each with half the values of its pair, instead of one
+    planar leg per pair. The `timestep` [s] is by default short enough for the ringing of a foot on the
+    ground, 0.1 ms or less; `notes` become comments. ExportError when a value is missing or not finite, or
+    the slope is not between -85 and 85 deg.
     """
     wrong = [key for key in _NEEDED if not math.isfinite(values.get(key, math.nan))]
     if wrong:
@@ -129,7 +115,7 @@ def to_mjcf(
     else:
         rate, standing = _CREEPING_RATE, values["kinetic_friction"] * weight / len(legs)
         ratio = inverse[0] * stiff * standing / values["slip_regularization"] / rate
-    x = values["thrust_point_dx"]
+    x, (length, angle) = values["thrust_point_dx"], _at_rest(values)
     # A motor is above every leg in space, a pair of motors at each end in the plane.
     thrust_points = {
         leg.name: (-leg.side * x, math.copysign(x, leg.joint[1]) if per_leg else 0.0, 0.0) for leg in legs
@@ -144,8 +130,8 @@ def to_mjcf(
         sticks=sticks,
         impedance=_IMPEDANCE, foot_radius=_FOOT_RADIUS, legs=legs, thrust_points=thrust_points,
         solref=[(-leg.ground[0] * a, -leg.ground[1] * a) for leg, a in zip(legs, inverse, strict=True)],
-        body_inertia=_body_inertia(values, per_leg), rest_angle=_rest_angle(values),
-        leg_length=_length(values), leg_centre=-(1.0 - values["leg_mass_fraction"]) * _length(values),
+        body_inertia=_body_inertia(values, per_leg), rest_angle=angle,
+        leg_length=length, leg_centre=-(1.0 - values["leg_mass_fraction"]) * length,
         start=place + (0.0,) * (2 * len(legs)), hover=(weight / len(legs),) * len(legs),
     )  # fmt: skip
 
@@ -178,11 +164,12 @@ def foot_inverse_mass(values: Mapping[str, float], per_leg: bool = False) -> Flo
     v, w = moves(np.zeros(3))
     inertia = np.diag(_body_inertia(values, per_leg))
     mass = values["body_mass"] * v.T @ v + w.T @ inertia @ w
+    length, angle = _at_rest(values)
     places = []
     for n, leg in enumerate(legs):
-        turn = leg.side * _rest_angle(values)
+        turn = leg.side * angle
         along = np.array([math.sin(turn), 0.0, math.cos(turn)])
-        arm = -(1.0 - values["leg_mass_fraction"]) * _length(values) * along
+        arm = -(1.0 - values["leg_mass_fraction"]) * length * along
         v, w = moves(np.array(leg.joint) + arm)
         hinge, slide = base + 2 * n, base + 2 * n + 1
         v[:, hinge], w[:, hinge] = leg.side * np.cross(pitch, arm), leg.side * pitch
@@ -215,12 +202,10 @@ def _legs(values: Mapping[str, float], per_leg: bool) -> list[_Leg]:
     return [leg(end, side, hand) for end, side in (("rear", 1), ("front", -1)) for hand in hands]
 
 
-def _length(values: Mapping[str, float]) -> float:
-    return math.hypot(values["foot_dx"] - values["joint_dx"], values["foot_dz"] - values["joint_dz"])
-
-
-def _rest_angle(values: Mapping[str, float]) -> float:
-    return math.atan2(values["foot_dx"] - values["joint_dx"], values["foot_dz"] - values["joint_dz"])
+def _at_rest(values: Mapping[str, float]) -> tuple[float, float]:
+    """Return a leg's length [m] and its angle from the body [rad] at rest."""
+    across, down = values["foot_dx"] - values["joint_dx"], values["foot_dz"] - values["joint_dz"]
+    return math.hypot(across, down), math.atan2(across, down)
 
 
 def _body_inertia(values: Mapping[str, float], per_leg: bool) -> tuple[float, float, float]:

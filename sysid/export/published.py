@@ -56,18 +56,10 @@ TABLE_1: dict[str, Printed] = {
     "saturation_current": (0.35, "fixed", _BY_HAND),
     "saturation_speed": (6.3, "fixed", _BY_HAND),
     "reference_voltage": (11.1, "fixed", f"{_UNPRINTED}: three lithium-polymer cells"),
-    "no_load_slope_forward": (1030.0, "fixed", _CURVE),
-    "no_load_intercept_forward": (0.0, "fixed", _CURVE),
-    "no_load_slope_reverse": (1030.0, "fixed", _CURVE),
-    "no_load_intercept_reverse": (0.0, "fixed", _CURVE),
-    "thrust_quadratic_forward": (1.2e-5, "fixed", _CURVE),
-    "thrust_linear_forward": (0.0, "fixed", _CURVE),
-    "thrust_quadratic_reverse": (0.62e-5, "fixed", _CURVE),
-    "thrust_linear_reverse": (0.0, "fixed", _CURVE),
-    "torque_quadratic_forward": (1.65e-7, "fixed", _CURVE),
-    "torque_linear_forward": (0.0, "fixed", _CURVE),
-    "torque_quadratic_reverse": (1.7e-7, "fixed", _CURVE),
-    "torque_linear_reverse": (0.0, "fixed", _CURVE),
+    **{
+        name: (motor.PARAMETERS.nominal[name], "fixed", _CURVE)
+        for name in motor.PARAMETERS.group("no-load line", "thrust curve", "torque curve")
+    },
 }
 
 TABLE_2: dict[str, Printed] = {

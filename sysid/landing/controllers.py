@@ -60,18 +60,15 @@ class Sensing:
                 f"{self.corner:g} Hz, order {self.order}; expected a corner below half the rate"
             )
 
-    def filtered(self, specific_force: FloatArray) -> FloatArray:
-        """Return the low-passed magnitude (n,) [m/s²] of samples (n, 2) at `rate`, settled on the first."""
+    def trigger(self, specific_force: FloatArray) -> float:
+        """Return when specific forces (n, 2) [m/s²] show an impact, from sample 0 on [s]; NaN: never."""
         from scipy.signal import butter, sosfilt, sosfilt_zi
 
         sos = butter(self.order, self.corner, fs=self.rate, output="sos")
         settled = sosfilt_zi(sos)
+        # The filter is settled on the first sample.
         parts = (sosfilt(sos, force, zi=settled * force[0])[0] for force in specific_force.T)
-        return np.asarray(np.hypot(*parts))
-
-    def trigger(self, specific_force: FloatArray) -> float:
-        """Return when an impact is seen in specific forces (n,) [m/s²], from sample 0 on [s]; NaN: never."""
-        above = np.flatnonzero(self.filtered(specific_force) > self.threshold)
+        above = np.flatnonzero(np.hypot(*parts) > self.threshold)
         return float(above[0] / self.rate) if len(above) else float("nan")
 
 

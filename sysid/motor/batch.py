@@ -47,7 +47,9 @@ class SimulatedTrials:
             *(schedule(trial.command_time, trial.command) for trial in trials), strict=True
         )
         knots, ratios = zip(*(supply(trial.supply, 1.0) for trial in trials), strict=True)
-        self.excitation = (*_joined(instants, levels), *_joined(knots, ratios))
+        (commands, first_command), (supplies, first_supply) = map(_end_to_end, (instants, knots))
+        (joined_levels, _), (joined_ratios, _) = map(_end_to_end, (levels, ratios))
+        self.excitation = (commands, joined_levels, first_command, supplies, joined_ratios, first_supply)
         self.time, self.first = _end_to_end([trial.time for trial in trials])
         self.edges, _ = _end_to_end([_edges(trial.time) for trial in trials])
         steady = [isinstance(trial.initial, str) for trial in trials]
@@ -64,17 +66,9 @@ class SimulatedTrials:
         return np.zeros(shape) if delays is None else np.array(np.broadcast_to(delays, shape), order="C")
 
 
-def _joined(
-    times: Sequence[FloatArray], values: Sequence[FloatArray]
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    joined, first = _end_to_end(times)
-    return joined, _end_to_end(values)[0], first
-
-
 def _end_to_end(parts: Sequence[ArrayLike]) -> tuple[FloatArray, IntArray]:
     arrays = [np.asarray(part, dtype=np.float64) for part in parts]
-    first = np.concatenate([[0], np.cumsum([a.size for a in arrays])]).astype(np.int64)
-    return np.ascontiguousarray(np.concatenate(arrays)), first
+    return np.concatenate(arrays), np.cumsum([0, *(a.size for a in arrays)], dtype=np.int64)
 
 
 def _edges(time: ArrayLike) -> FloatArray:

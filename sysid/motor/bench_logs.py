@@ -151,7 +151,13 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     # A neutral that jitters is a neutral, for the tare too.
     u = np.where(np.abs(u) <= JITTER, 0.0, u)
     steps = trial_log.command_steps(time, u)
-    window = _window(entry, time, where)
+    begin = float(time[0]) if entry.start is None else entry.start
+    end = float(time[-1]) if entry.end is None else entry.end
+    if not begin < end or begin > time[-1] or end < time[0]:
+        raise LogError(
+            f"{where}: window {begin:g} to {end:g} s lies outside the log's {time[0]:.3f} to {time[-1]:.3f} s"
+        )
+    window = begin, end
     speed = _signed_speed(entry, recording, u, window, where)
     stalls = [s for s in trial_log.find_stalls(time, steps) if s.end >= window[0] and s.start <= window[1]]
     rate, settings = 1.0 / float(np.median(np.diff(time))), campaign.filter
@@ -185,16 +191,6 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
                 f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost",
             )
     return log
-
-
-def _window(entry: MotorTrial, time: FloatArray, where: str) -> tuple[float, float]:
-    begin = float(time[0]) if entry.start is None else entry.start
-    end = float(time[-1]) if entry.end is None else entry.end
-    if not begin < end or begin > time[-1] or end < time[0]:
-        raise LogError(
-            f"{where}: window {begin:g} to {end:g} s lies outside the log's {time[0]:.3f} to {time[-1]:.3f} s"
-        )
-    return begin, end
 
 
 def _signed_speed(

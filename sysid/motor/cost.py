@@ -17,7 +17,7 @@ from numba import njit
 from sysid.fit.nrmse import FAILED_NRMSE, Denominator, WeightedNrmse, divisor
 from sysid.fit.trial import ComparedChannel
 from sysid.parallel import in_threads
-from sysid.types import BoolArray, FloatArray, IntArray
+from sysid.types import BoolArray, FloatArray
 
 CHANNELS = ("stator_torque", "speed")
 
@@ -64,15 +64,15 @@ class BenchCost(WeightedNrmse):
                 if weight > 0 or seen.any():
                     scale = divisor(f"{target.name}, {channel}", values, seen, denominator, weight)
                     self.denominators[t, c] = scale or np.nan
-        self.grid = _first([target.grid_size for target in targets])
+        self.grid = np.cumsum([0, *(target.grid_size for target in targets)], dtype=np.int64)
         taps, time, valid, measured = (
             [getattr(target, name) for target in targets] for name in ("taps", "time", "valid", "measured")
         )
+        rows, tap_first = (np.cumsum([0, *map(len, each)], dtype=np.int64) for each in (time, taps))
         valid_rows = np.concatenate(valid)
         # In the order in which `_score` takes them.
         self._prepared = (
-            _first([len(each) for each in time]), self.grid, _first([len(each) for each in taps]),
-            np.concatenate(taps), np.concatenate(time),
+            rows, self.grid, tap_first, np.concatenate(taps), np.concatenate(time),
             np.where(valid_rows, np.concatenate(measured), 0.0), valid_rows,
             np.array([target.grid_start for target in targets]),
             np.array([target.grid_step for target in targets]), self.denominators, self.weights,
@@ -109,10 +109,6 @@ class BenchCost(WeightedNrmse):
         signals = np.empty((len(samples), first[-1], 2))
         by_channel, failed = self(samples, reached, sensors, threads, signals)
         return by_channel, failed, tuple(np.split(signals, first[1:-1], axis=1))
-
-
-def _first(sizes: list[int]) -> IntArray:
-    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
 @njit(cache=True, error_model="numpy")

@@ -132,7 +132,16 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     if band is not None:
         rows[:, searched] = band.values
     nrmse = problem.only([trial.entry.name for trial in bench.fitted]).nrmse(rows)
-    sets, rows, nrmse, band = _ranked(course.sets, rows, nrmse, band)
+    # The search has not seen the final values.
+    order = np.argsort(nrmse, kind="stable")
+    rows, nrmse, found = rows[order], nrmse[order], course.sets
+    sets = RankedSets(
+        tuple(found.run[i] for i in order), tuple(found.seed[i] for i in order), found.cube[order],
+        found.cost[order], found.values[order], found.at_bound[order],
+    )  # fmt: skip
+    if band is not None:
+        per_set = ("values", "at_bound", "nrmse", "without")
+        band = replace(band, **{name: getattr(band, name)[order] for name in per_set})
     given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
     if cut is None:
         settings = _findings(problem, rows[0], band, given)
@@ -187,21 +196,6 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         settings={**circumstances, **settings},
         cut=cut,
     )
-
-
-def _ranked(
-    sets: RankedSets, rows: FloatArray, nrmse: FloatArray, band: SaturationFit | None
-) -> tuple[RankedSets, FloatArray, FloatArray, SaturationFit | None]:
-    """Rank the sets by the NRMSE of their final values, which the search has not seen."""
-    order = np.argsort(nrmse, kind="stable")
-    ranked = RankedSets(
-        tuple(sets.run[i] for i in order), tuple(sets.seed[i] for i in order), sets.cube[order],
-        sets.cost[order], sets.values[order], sets.at_bound[order],
-    )  # fmt: skip
-    if band is not None:
-        per_set = ("values", "at_bound", "nrmse", "without")
-        band = replace(band, **{name: getattr(band, name)[order] for name in per_set})
-    return ranked, rows[order], nrmse[order], band
 
 
 def _findings(

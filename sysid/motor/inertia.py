@@ -33,7 +33,6 @@ _MEMORY = 3.0
 _AGREEMENT = 0.15
 # Least number of steps of each kind that show something.
 _FEWEST = 2
-_Seen = tuple[FloatArray, FloatArray, FloatArray, BoolArray]
 
 
 @dataclass(frozen=True)
@@ -105,9 +104,7 @@ def spikes(
     for log in logs:
         if "torque" not in log.channels:
             continue
-        time, acceleration, excess, whole = (
-            _fast(campaign, log, parameters) if log.fast else _slow(log, parameters)
-        )
+        time, acceleration, excess, whole = _seen(campaign, log, parameters)
         levels = log.steps.level
         ends = np.append(log.steps.time[1:], np.inf)
         for i in range(1, levels.size):
@@ -121,16 +118,19 @@ def spikes(
             yield "up" if change > 0 else "down", acceleration[inside], excess[inside]
 
 
-def _fast(campaign: MotorCampaign, log: BenchLog, parameters: Mapping[str, float]) -> _Seen:
-    """Return time, dΩ/dt, torque above the static one, and where the log is whole: both filtered alike."""
-    time, speed = filtered(campaign, log, "speed")
-    acceleration = np.gradient(speed, time)
-    excess = np.interp(time, *filtered(campaign, log, "torque")) - aerodynamic_torque(speed, parameters)
-    return time, acceleration, excess, np.isfinite(acceleration) & np.isfinite(excess)
+def _seen(
+    campaign: MotorCampaign, log: BenchLog, parameters: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Return time, dΩ/dt, torque above the static one, and where the log is whole.
 
-
-def _slow(log: BenchLog, parameters: Mapping[str, float]) -> _Seen:
-    """Return the same of a slow log: the speed walks through the torque sensor's lag to its real samples."""
+    Torque and speed of a fast log are filtered alike; the speed of a slow one passes the torque sensor's lag
+    to the real samples of the torque.
+    """
+    if log.fast:
+        time, speed = filtered(campaign, log, "speed")
+        acceleration = np.gradient(speed, time)
+        excess = np.interp(time, *filtered(campaign, log, "torque")) - aerodynamic_torque(speed, parameters)
+        return time, acceleration, excess, np.isfinite(acceleration) & np.isfinite(excess)
     rows, speed = log.channels["speed"]
     time, torque = log.channels["torque"]
     delay, constant = parameters["torque_sensor_delay"], parameters["torque_sensor_lag"]

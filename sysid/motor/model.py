@@ -64,8 +64,8 @@ from sysid.shown import Brief
 from sysid.types import FloatArray
 
 __all__ = [
-    "FREE_DEFAULT", "PARAMETERS", "MotorTrajectory", "aerodynamic_torque", "complete",
-    "invariants", "kernel_rows", "kv_to_si", "no_load_speed", "pack", "schedule", "simulate",
+    "FREE_DEFAULT", "PARAMETERS", "MotorTrajectory", "aerodynamic_torque", "invariants",
+    "kernel_rows", "kv_to_si", "no_load_speed", "pack", "schedule", "simulate",
     "steady_state", "supply", "thrust", "thrust_slope", "unpack",
 ]  # fmt: skip
 
@@ -83,17 +83,12 @@ STATUS_TEXT = {
 TOLERANCE = 1e-6
 
 
-def complete(parameters: Mapping[str, float]) -> dict[str, float]:
-    """Return every number of the table by name [SI], in its order; a name left out takes its nominal.
+def pack(parameters: Mapping[str, float]) -> FloatArray:
+    """Return the row (n_table,) of numbers by name [SI]; a name left out takes its nominal.
 
     CampaignError when a name is not in the table.
     """
-    return PARAMETERS.filled(parameters)
-
-
-def pack(parameters: Mapping[str, float]) -> FloatArray:
-    """Return the row (n_table,) of `complete` [SI]."""
-    return np.array(list(complete(parameters).values()))
+    return np.array(list(PARAMETERS.filled(parameters).values()))
 
 
 def unpack(row: FloatArray, table: Iterable[str] = PARAMETERS) -> dict[str, float]:
@@ -113,7 +108,7 @@ def invariants(parameters: Mapping[str, float]) -> dict[str, float]:
     ``k²/R`` [N·m·s/rad], ``R/L`` [1/s], ``k·I_sat`` [N·m] and the electromechanical time constant
     ``I^r R/k²`` [s], with k² = k_v k_m.
     """
-    p = complete(parameters)
+    p = PARAMETERS.filled(parameters)
     k2 = p["back_emf_constant"] * p["torque_constant"]
     return {
         "k²/R": k2 / p["winding_resistance"],
@@ -149,7 +144,7 @@ def _coefficients(
     speed: ArrayLike, parameters: Mapping[str, float], quantity: str
 ) -> tuple[FloatArray, FloatArray]:
     """Return quadratic and linear coefficient (...) of a curve in the direction of each speed."""
-    p, forward = complete(parameters), np.asarray(speed) >= 0
+    p, forward = PARAMETERS.filled(parameters), np.asarray(speed) >= 0
     quadratic, linear = (
         np.where(forward, p[f"{quantity}_{name}_forward"], p[f"{quantity}_{name}_reverse"])
         for name in ("quadratic", "linear")
@@ -159,7 +154,7 @@ def _coefficients(
 
 def no_load_speed(command: ArrayLike, parameters: Mapping[str, float]) -> FloatArray:
     """Return Ω_0(u) [rad/s] at V_ref for commands u (...) in [-1, 1]; the intercept never turns it round."""
-    u, p = np.asarray(command, dtype=np.float64), complete(parameters)
+    u, p = np.asarray(command, dtype=np.float64), PARAMETERS.filled(parameters)
     up = np.maximum(0.0, p["no_load_slope_forward"] * u + p["no_load_intercept_forward"])
     down = np.minimum(0.0, p["no_load_slope_reverse"] * u - p["no_load_intercept_reverse"])
     return np.where(u > 0, up, np.where(u < 0, down, 0.0))
@@ -172,7 +167,7 @@ def steady_state(
 
     Commands u (...) in [-1, 1]; the supply (...) [V] is V_ref where left out.
     """
-    p = complete(parameters)
+    p = PARAMETERS.filled(parameters)
     row = kernel_rows(pack(parameters))
     omega_0 = np.atleast_1d(no_load_speed(command, parameters))
     ratio = np.ones_like(omega_0) if voltage is None else np.asarray(voltage) / p["reference_voltage"]
@@ -214,6 +209,8 @@ def simulate(
 ) -> MotorTrajectory:
     """Simulate one motor under a command schedule, sampled at given times.
 
+    FitError when the simulation cannot reach the last time; the sentence says why and where.
+
     Parameters
     ----------
     parameters : mapping
@@ -231,15 +228,10 @@ def simulate(
         No saturation (I_sat = ∞), as in Fig. 11.
     tolerance : float
         Relative local error of a step.
-
-    Raises
-    ------
-    FitError
-        When the simulation cannot reach the last time; the sentence says why and where.
     """
     t = np.ascontiguousarray(time, dtype=np.float64)
     instants, levels = schedule(command_time, command)
-    p = complete(parameters)
+    p = PARAMETERS.filled(parameters)
     knots, ratio = supply(voltage, p["reference_voltage"])
     current, speed = (0.0, 0.0) if isinstance(initial, str) else (float(initial[0]), float(initial[1]))
     start = kernel.STEADY if isinstance(initial, str) else kernel.AS_GIVEN

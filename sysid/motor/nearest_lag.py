@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from sysid.errors import ExportError
-from sysid.motor.model import PARAMETERS, complete, simulate, steady_state
+from sysid.motor.model import PARAMETERS, simulate, steady_state
 
 # Steps of the command that the time constants are fitted to: around hover, small and large, up and back.
 STEPS = ((0.4, 0.6), (0.6, 0.8), (0.4, 0.8))
@@ -59,7 +59,7 @@ def first_order_rotor(parameters: Mapping[str, float]) -> FirstOrderRotor:
     Time constants minimize the squared distance from the motor's speed over `STEPS`. With both directions of
     a curve ``c2 Ω² + c1 Ω``, the constant that is nearest over 0..Ω_max is ``c2 + (5/4) c1/Ω_max``.
     """
-    p = complete({k: v for k, v in parameters.items() if k in PARAMETERS} | {"command_delay": 0.0})
+    p = PARAMETERS.filled({k: v for k, v in parameters.items() if k in PARAMETERS} | {"command_delay": 0.0})
     top, bottom = (abs(float(steady_state(u, p)[1])) for u in (1.0, -1.0))
     if not (math.isfinite(top) and math.isfinite(bottom) and top > 0 and bottom > 0):
         raise ExportError(

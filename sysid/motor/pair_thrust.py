@@ -36,19 +36,9 @@ def thrust_history(
 ) -> PiecewiseCubic:
     """Return the thrust of equal motors under a command schedule [N], from 0 to `duration` [s].
 
-    FitError when the motor cannot be simulated or the duration is not positive.
-
-    Parameters
-    ----------
-    parameters : mapping
-        One motor, by name [SI].
-    command_time, command : (m,) arrays
-        Instants [s] and the command u in [-1, 1] from each on; the first also serves before its instant, so
-        that ``[-1, 0]`` and ``[0.5, -1]`` is a reversal at time 0 from steady flight at half command.
-    initial : (current [A], speed [rad/s]) or "steady"
-        At time 0; "steady" takes the equilibrium under the command just before it.
-    ideal_reversal, tolerance
-        As in `sysid.motor.model.simulate`.
+    The arguments are those of `sysid.motor.model.simulate`: ``[-1, 0]`` and ``[0.5, -1]`` is a reversal at
+    time 0 from steady flight at half command; "steady" takes the equilibrium under the command just before
+    time 0. FitError when the motor cannot be simulated or the duration is not positive.
 
     Notes
     -----
@@ -58,7 +48,7 @@ def thrust_history(
     if not duration > 0:
         raise FitError(f"thrust history of {duration:g} s; give a duration above 0")
     instants, levels = model.schedule(command_time, command)
-    p = model.complete(parameters)
+    p = model.PARAMETERS.filled(parameters)
     inertia, delay = p["rotor_inertia"], p["command_delay"]
     start = initial
     if isinstance(initial, str):

@@ -74,19 +74,12 @@ class MotorProblem(Problem):
         bench: Bench,
         trials: tuple[PreparedTrial, ...],
         threads: int | None = None,
-        *,
-        dynamic: bool = False,
     ) -> MotorProblem:
-        """Join prepared trials with their campaign.
-
-        `dynamic`: for the dynamic fit, without the starts from rest, whose dead band is not known yet; L and
-        the delay would make up for a wrong one.
-        """
-        targets = tuple(t.dynamic_target if dynamic else t.target for t in trials)
+        """Join prepared trials with their campaign."""
         # No-load lines that are neither free nor fixed by the campaign follow R and k_d.
         chosen = {*space.names, *campaign.parameters.fixed}
         ties = {d: tie for d, tie in bench.curves.ties.items() if not {*no_load_line(d)} & chosen}
-        return cls(campaign, bench, space, trials, targets, ties, threads)
+        return cls(campaign, bench, space, trials, tuple(t.target for t in trials), ties, threads)
 
     # --- what is compared -----------------------------------------------------------------------------------
 
@@ -128,7 +121,10 @@ class MotorProblem(Problem):
         )
 
     def of(self, trials: tuple[PreparedTrial, ...]) -> MotorProblem:
-        """Return the problem of other trials, without their starts from rest."""
+        """Return the problem of other trials, without their starts from rest.
+
+        Their dead band is not known before the dynamic fit; L and the delay would make up for a wrong one.
+        """
         return replace(self, prepared=trials, targets=tuple(trial.dynamic_target for trial in trials))
 
     @property

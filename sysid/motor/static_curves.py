@@ -168,19 +168,10 @@ def fit_speed_curve(
 ) -> CurveFit:
     """Fit c2 Ω|Ω| + c1 Ω to the points of one direction.
 
-    Parameters
-    ----------
-    speed, value : (n,) arrays
-        Steady speed [rad/s] and thrust [N] or aerodynamic torque [N·m] with the sign of the speed; NaN pairs,
-        and points that turn the other way, are left out.
-    zero_rows : int
-        Points at rest whose mean was subtracted as the tare; the error of the tare, common to all points,
-        then counts in the standard errors. 0: the zero is exact.
-
-    Raises
-    ------
-    FitError
-        When fewer than three points at different speeds remain, or the curve has the wrong sign.
+    Steady speeds (n,) [rad/s], and thrust [N] or aerodynamic torque [N·m] (n,) with the sign of the speed;
+    NaN pairs, and points that turn the other way, are left out. `zero_rows` are the points at rest whose mean
+    was subtracted as the tare: its error, common to all, counts in the standard errors; 0: an exact zero.
+    FitError when fewer than three points at different speeds remain, or the curve has the wrong sign.
     """
     unit = "N" if quantity == "thrust" else "N·m"
     omega, y = _of_direction(direction, speed, value)

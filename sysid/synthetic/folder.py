@@ -9,7 +9,7 @@ from typing import Any
 
 from sysid.errors import ExportError
 from sysid.parameters import ParameterTable
-from sysid.storage import check_folder, replaced_folder
+from sysid.storage import replaced_folder
 
 TRUTH_FILE = "truth.json"
 SCHEMA = "sysid-truth/2"
@@ -33,11 +33,6 @@ def write_campaign(
             else:
                 (new / name).write_bytes(content.encode("utf-8"))
     return Path(folder)
-
-
-def refuse_existing(folder: str | Path, *, force: bool) -> None:
-    """Refuse a folder that is there already, before any work is done for it."""
-    check_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError)
 
 
 def truth_text(

@@ -18,9 +18,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sysid.campaign import TrialUse
-from sysid.errors import CampaignError
+from sysid.errors import CampaignError, ExportError
 from sysid.gear import model
-from sysid.synthetic.folder import Content, refuse_existing, truth_text, write_campaign
+from sysid.storage import check_folder
+from sysid.synthetic.folder import TRUTH_FILE, Content, truth_text, write_campaign
 from sysid.synthetic.motion_capture import Take, motive_csv, observe, pose_table_csv
 from sysid.trials.capture import CaptureFrame
 from sysid.types import FloatArray
@@ -188,7 +189,7 @@ def synthesize_gear(
         Fields of `CaptureLab`.
     """
     model.find_surface(surface)
-    refuse_existing(folder, force=force)
+    check_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError)
     drops = tuple(drops if drops is not None else HF_DROPS if surface == "hf" else LF_DROPS)
     names = [drop.name for drop in drops]
     if len(set(names)) < len(names) or not any(drop.use == "fit" for drop in drops):

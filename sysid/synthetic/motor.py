@@ -17,10 +17,11 @@ from typing import Literal
 import numpy as np
 
 from sysid.campaign import TrialUse
-from sysid.errors import CampaignError
+from sysid.errors import CampaignError, ExportError
 from sysid.motor import model
+from sysid.storage import check_folder
 from sysid.synthetic import bench
-from sysid.synthetic.folder import Content, refuse_existing, truth_text, write_campaign
+from sysid.synthetic.folder import TRUTH_FILE, Content, truth_text, write_campaign
 from sysid.types import Direction
 
 MINIMUM, NEUTRAL, MAXIMUM = 1000.0, 1500.0, 2000.0
@@ -106,7 +107,7 @@ def synthesize_motor(
     ideal_reversal : bool
         A motor without saturation, as in Fig. 11.
     """
-    refuse_existing(folder, force=force)
+    check_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError)
     if not rate >= 1000.0:
         raise CampaignError(f"rate: {rate:g} Hz is no load-cell log; expected 1 kHz or more")
     true = {**model.PARAMETERS.nominal, **TRUE_MOTOR, **(parameters or {})}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from sysid.errors import ExportError
 from sysid.export import export
-from sysid.export.gazebo import MotorPlugin, to_sdf
+from sysid.export.gazebo import to_sdf
 from sysid.export.mjcf import to_mjcf
 from sysid.fit.adequacy import NOT_BY
 from sysid.gear.surfaces import find_surface
@@ -98,11 +98,4 @@ def _motor(sets: ParameterSets, rank: int) -> bytes:
         f"{rotor.reverse_thrust_constant:.4g} N s^2/rad^2 up to {rotor.reverse_maximum_speed:.4g} rad/s; nor "
         "does it know the pause of a reversal (saturation current and speed).",
     ]
-    plugin = MotorPlugin(
-        timeConstantUp=rotor.time_constant_up,
-        timeConstantDown=rotor.time_constant_down,
-        maxRotVelocity=rotor.maximum_speed,
-        motorConstant=rotor.thrust_constant,
-        momentConstant=rotor.moment_constant,
-    )
-    return to_sdf(plugin, name=f"{sets.name}-{rank}", notes=tuple(notes))
+    return to_sdf(rotor, name=f"{sets.name}-{rank}", notes=tuple(notes))

@@ -2,8 +2,6 @@
 
 import xml.etree.ElementTree as ElementTree
 
-from sysid.export.gazebo import UNITS, MotorPlugin
-
 
 def from_mjcf(document):
     """Return the set [SI] that stands in a MuJoCo model."""
@@ -14,4 +12,5 @@ def from_mjcf(document):
 def from_sdf(document):
     """Return the numbers of the first rotor's plugin."""
     plugin = next(ElementTree.fromstring(document).iter("plugin"))
-    return MotorPlugin(**{key: float(plugin.findtext(key)) for key in UNITS})
+    keys = ("timeConstantUp", "timeConstantDown", "maxRotVelocity", "motorConstant", "momentConstant")
+    return tuple(float(plugin.findtext(key)) for key in keys)

@@ -129,7 +129,7 @@ def _gear_objective(name):
 def _motor_objective(name):
     campaign = read_campaign(CAMPAIGNS[name], "motor")
     bench = prepare_bench(campaign, CAMPAIGNS[name])
-    objective = MotorProblem.build(campaign, motor_space(campaign, bench), bench, bench.fitted, dynamic=True)
+    objective = MotorProblem.build(campaign, motor_space(campaign, bench), bench, bench.trials).fitted
     return objective, lambda rows: objective.score(rows).by_channel
 
 

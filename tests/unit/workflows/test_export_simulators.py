@@ -9,10 +9,10 @@ import pytest
 from fakes.simulators import from_mjcf, from_sdf
 from sysid.errors import ExportError
 from sysid.export import export
-from sysid.export.gazebo import MotorPlugin, to_sdf
+from sysid.export.gazebo import to_sdf
 from sysid.export.published import table_1, table_2
 from sysid.motor.model import PARAMETERS, aerodynamic_torque, simulate, steady_state, thrust
-from sysid.motor.nearest_lag import first_order_rotor
+from sysid.motor.nearest_lag import FirstOrderRotor, first_order_rotor
 from sysid.workflows.export_models import export_sets
 
 
@@ -77,9 +77,9 @@ def test_a_motor_that_does_not_turn_is_refused():
 
 
 def test_sdf_reads_back():
-    plugin = MotorPlugin(0.1 / 3, 0.2 / 3, 700.1, 1.2e-5 / 7, 0.0137)
-    document = to_sdf(plugin, notes=("a -- b",))
-    assert from_sdf(document) == plugin
+    rotor = FirstOrderRotor(0.1 / 3, 0.2 / 3, 0.0, 0.0, 700.1, 1.2e-5 / 7, 0.0, 0.0137, 600.0, 6e-6)
+    document = to_sdf(rotor, notes=("a -- b",))
+    assert from_sdf(document) == (0.1 / 3, 0.2 / 3, 700.1, 1.2e-5 / 7, 0.0137)
     plugins = list(ElementTree.fromstring(document).iter("plugin"))
     assert [p.findtext("motorNumber") for p in plugins] == ["0", "1", "2", "3"]
     assert {p.findtext("turningDirection") for p in plugins} == {"cw", "ccw"}
@@ -106,9 +106,9 @@ def test_one_file_per_set_or_one_alone(tmp_path, run):
     code, out, err = run("export", motor, "--out", tmp_path / "motor.sdf")
     assert code == 0, err
     rotor = first_order_rotor(table_1().set_values(1))
-    assert from_sdf((tmp_path / "motor.sdf").read_bytes()) == MotorPlugin(
-        rotor.time_constant_up, rotor.time_constant_down, rotor.maximum_speed, 1.2e-5, rotor.moment_constant
-    )
+    assert from_sdf((tmp_path / "motor.sdf").read_bytes()) == (
+        rotor.time_constant_up, rotor.time_constant_down, rotor.maximum_speed, 1.2e-5, rotor.moment_constant,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
