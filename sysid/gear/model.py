@@ -286,22 +286,12 @@ def simulate(
 
     CampaignError if the input cannot be used; a simulation that fails returns its status instead.
 
-    Parameters
-    ----------
-    parameters : (n_par,) array or mapping of str to float
-        A row as from `pack`, or values by name [SI].
-    slope : float
-        Angle of the surface [rad].
-    body_state, state : (6,), (14,) arrays
-        x_B, z_B, q_B and rates at time[0], frame N, where the legs start at rest in the body; or all
-        coordinates and rates there.
-    time : (n,) array
-        Sample times [s].
-    surface : str or Surface
-        Friction law: ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one of yours.
-    tolerance : float, optional
-        Bound of the weighted rms error of the rates per step; by default what a fit on the surface needs,
-        and at most 3e-5 where feet switch their modes: a fit's setting misses short releases.
+    `parameters` are a row (n_par,) as from `pack`, or values by name [SI]; `slope` is the surface's angle
+    [rad], `time` (n,) the sample times [s]. `body_state` (6,) are x_B, z_B, q_B and rates at ``time[0]``,
+    frame N, the legs at rest in the body; or `state` (14,) has all coordinates and rates. The friction law is
+    ``lf``, continuous (8), ``hf``, slipping and sticking feet (9, 10), or one of yours. `tolerance` bounds
+    the weighted rms error of the rates per step: by default what a fit on the surface needs, and at most 3e-5
+    where feet switch their modes: a fit's setting misses short releases.
     """
     law = find_surface(surface)
     if tolerance is None and law.switching:

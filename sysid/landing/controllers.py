@@ -200,11 +200,7 @@ def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing
         raise CampaignError(
             f"controller {text!r}: {error}; its options are {wanted}, as in impulse:delay=50ms,duration=0.1"
         ) from None
-    return Controller(text, _steps(recipe, text, bound), ideal_reversal, sensing)
-
-
-def _steps(recipe: Recipe, text: str, bound: inspect.BoundArguments) -> tuple[Step, ...]:
-    """Return what a recipe, perhaps a user's, says; its faults with file and line."""
+    # The recipe may be a user's: its faults are named with file and line.
     source = Path(recipe.__code__.co_filename) if inspect.isfunction(recipe) else Path(__file__)
     try:
         steps = list(recipe(*bound.args, **bound.kwargs))
@@ -221,7 +217,7 @@ def _steps(recipe: Recipe, text: str, bound: inspect.BoundArguments) -> tuple[St
                 f"controller {text!r}: {source}, line {line}: the function returned {step!r}; expected a "
                 "list of Step(after, rear, front) of numbers"
             )
-    return tuple(steps)
+    return Controller(text, tuple(steps), ideal_reversal, sensing)
 
 
 def _fault(path: Path, error: Exception) -> str:

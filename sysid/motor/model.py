@@ -211,23 +211,13 @@ def simulate(
 
     FitError when the simulation cannot reach the last time; the sentence says why and where.
 
-    Parameters
-    ----------
-    parameters : mapping
-        Parameters by name [SI]; those left out take their nominal.
-    command_time, command : (m,) arrays
-        Instants [s] and the command u in [-1, 1] from each of them on. The first also serves before its
-        instant. ``command_delay`` is added to the instants.
-    time : (n,) array
-        Sample times [s], not decreasing; the motor starts at the first.
-    initial : (current [A], speed [rad/s]) or "steady"
-        State at ``time[0]``; "steady" takes the equilibrium under the command at that time.
-    voltage : (times [s], volts [V]), optional
-        Measured supply, linear between its samples; without it the supply is V_ref. It is not delayed.
-    ideal_reversal : bool
-        No saturation (I_sat = ∞), as in Fig. 11.
-    tolerance : float
-        Relative local error of a step.
+    `parameters` by name [SI]; those left out take their nominal. `command_time` (m,) [s] are the instants
+    from which each `command` (m,), u in [-1, 1], is in force; the first also serves before its instant, and
+    ``command_delay`` is added to all. `time` (n,) are sample times [s], not decreasing. At the first of them
+    the state is `initial`, a current [A] and a speed [rad/s]; "steady" takes the equilibrium under the
+    command at that time. `voltage`, times [s] and volts [V], is a measured supply, linear between its samples
+    and not delayed; without it the supply is V_ref. An `ideal_reversal` has no saturation (I_sat = ∞), as in
+    Fig. 11. `tolerance` is the relative local error of a step.
     """
     t = np.ascontiguousarray(time, dtype=np.float64)
     instants, levels = schedule(command_time, command)

@@ -19,7 +19,6 @@ import numpy as np
 
 from sysid.motor.batch import SimulatedTrials
 from sysid.motor.curves import supply_ratio
-from sysid.motor.known_values import Bench
 from sysid.motor.lag_kernel import READS, lag_population
 from sysid.motor.log_delays import log_rows, shifts
 from sysid.motor.parameters import SENSORS, WAYS, instrument_rows
@@ -97,11 +96,10 @@ class LagProblem(MotorProblem):
         return simulate_lag(rows, self.jobs, delays), np.ones(shape), np.zeros(shape, dtype=np.int64)
 
 
-def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:
-    """Return what the lag frees.
-
-    Its delays are free where the motor's are; its steady speeds come from the loaded steady points.
-    """
+def simpler(problem: MotorProblem) -> list[tuple[str, MotorProblem]]:
+    """Return the simpler models of a problem of fitted trials with their titles."""
+    space, bench = problem.space, problem.bench
+    # Delays of the lag are free where the motor's are; its steady speeds come from the loaded steady points.
     delays = log_rows(space)
     free = ["rise_time_constant", "fall_time_constant"]
     free += [name for name in ("command_delay", *SENSORS, *delays) if name in space.names]
@@ -113,19 +111,13 @@ def lag_space(space: SearchSpace, bench: Bench) -> SearchSpace:
         powers = steady_speed_map(points.u[turning], points.speed[turning], ratio[turning])
         values |= {f"steady_speed_{power}_{direction}": float(p) for power, p in enumerate(powers)}
     bounds = {row.name: (row.lower, row.upper) for row in space.free if row.name in free}
-    return SearchSpace.build(table, free, values, bounds)
-
-
-def simpler(problem: MotorProblem) -> list[tuple[str, MotorProblem]]:
-    """Return the simpler models of a problem of fitted trials with their titles."""
-    space = problem.space
     lag = LagProblem(
-        problem.campaign, problem.bench, lag_space(space, problem.bench), problem.prepared, problem.targets,
-        {}, problem.threads,
+        problem.campaign, bench, SearchSpace.build(table, free, values, bounds), problem.prepared,
+        problem.targets, {}, problem.threads,
     )  # fmt: skip
     out: list[tuple[str, MotorProblem]] = [("first-order lag", lag)]
     if "winding_inductance" in space.names:
         fixed = {**space.fixed, "winding_inductance": _NO_INDUCTANCE}
-        free = tuple(row for row in space.free if row.name != "winding_inductance")
-        out.append(("without L", replace(problem, space=SearchSpace(space.table, free, fixed))))
+        others = tuple(row for row in space.free if row.name != "winding_inductance")
+        out.append(("without L", replace(problem, space=SearchSpace(space.table, others, fixed))))
     return out

@@ -170,23 +170,11 @@ def synthesize_gear(
     CampaignError when the drops cannot be used or a simulation fails, ExportError when the folder exists,
     unless `force` replaces it, or cannot be written; nothing is written then.
 
-    Parameters
-    ----------
-    seed : int
-        Same seed, same arguments: the same files, to the last byte on one platform.
-    surface : str
-        Friction law; true values are its means of Table II.
-    drops : sequence of DropPlan, optional
-        What to drop; at least one with ``use = "fit"``. Default: `LF_DROPS` or `HF_DROPS`.
-    parameters : mapping, optional
-        True values that differ from these means [SI].
-    name : str, optional
-        Of the campaign; ``synthetic-lf`` when left out.
-    simulate : callable, optional
-        What drops the true gear, with the arguments of `sysid.gear.model.simulate`: another simulator may
-        have physics that the model lacks.
-    **lab
-        Fields of `CaptureLab`.
+    Same `seed`, same arguments: the same files, to the last byte on one platform. True values are the means
+    of Table II for the `surface`, a friction law, but for `parameters` [SI]. At least one of the `drops`, by
+    default `LF_DROPS` or `HF_DROPS`, has ``use = "fit"``. The campaign's `name` is ``synthetic-lf`` when left
+    out. `simulate` drops the true gear, with the arguments of `sysid.gear.model.simulate`: another simulator
+    may have physics that the model lacks. `lab` are fields of `CaptureLab`.
     """
     model.find_surface(surface)
     check_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError)

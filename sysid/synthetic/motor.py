@@ -94,18 +94,9 @@ def synthesize_motor(
     CampaignError or FitError when the parameters cannot be simulated, ExportError when the folder exists,
     unless `force` replaces it, or cannot be written; nothing is written then.
 
-    Parameters
-    ----------
-    seed : int
-        Same seed, same arguments: the same numbers.
-    parameters : mapping, optional
-        True values that differ from `TRUE_MOTOR` [SI].
-    noise : bool
-        False: quantization and tare only.
-    rate : float
-        Of the load cell [Hz].
-    ideal_reversal : bool
-        A motor without saturation, as in Fig. 11.
+    Same `seed`, same arguments: the same numbers. `parameters` are true values that differ from `TRUE_MOTOR`
+    [SI]. Without `noise` there are quantization and tare only. `rate` is the load cell's [Hz]. A motor of an
+    `ideal_reversal` has no saturation, as in Fig. 11.
     """
     check_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError)
     if not rate >= 1000.0:

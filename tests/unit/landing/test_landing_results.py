@@ -11,7 +11,6 @@ from fakes.landings import HF, LF, MOTOR, published
 from sysid.errors import CampaignError, ExportError
 from sysid.landing.controllers import find_controller, load_controllers
 from sysid.landing.impulse import Impulses
-from sysid.landing.impulse_maps import variants
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.landing.real_landings import Experiment, read_experiments, strangers
 from sysid.landing.settings import ImpulseSettings, Scenario
@@ -129,12 +128,6 @@ def test_a_controller_that_returns_no_steps(write, returns, says):
     load_controllers(write(text, "mine.py"))
     with pytest.raises(CampaignError, match=says):
         find_controller("mine:0.5")
-
-
-def test_what_follows_an_impulse_names_its_maps():
-    named = {after: variants(ImpulseSettings(after=after))[0] for after in (-1.0, 0.0, -0.5)}
-    then = {-1.0: "reverse", 0.0: "off", -0.5: "command:-0.5"}
-    assert named == {after: f"impulse, then {name}" for after, name in then.items()}
 
 
 def test_no_impulse_is_always_tried():

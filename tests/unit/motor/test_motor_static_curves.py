@@ -1,14 +1,11 @@
 """Static curves: known coefficients back from noisy points with outliers, real logs, refusals."""
 
-import re
-
 import numpy as np
 import pytest
 
 from fakes import places
 from sysid.errors import FitError
 from sysid.loaders import load
-from sysid.motor.follow_up import curve_sentence
 from sysid.motor.static_curves import NoLoadTie, fit_no_load_line, fit_speed_curve
 
 DATA = places.DATA / "rcbenchmark"
@@ -110,16 +107,6 @@ def test_one_bad_point_does_not_bend_the_no_load_line(bad: int | None, miss: flo
     assert fit.r_squared > 0.999
     # About the 0.9 rad/s of above, more where an end point is lost: it holds most of the slope.
     assert 0.4 < fit.standard_errors[0] < 3.0
-
-
-def test_a_static_curve_is_told_with_its_errors() -> None:
-    sentence = curve_sentence(_tie(6, 0.5).fit("forward", DROP, 0.0))
-    number = r"-?\d[\d.e+-]*"
-    assert re.fullmatch(
-        rf"no_load, forward: a = {number} ± {number} rad/s, b = {number} ± {number} rad/s; "
-        r"R² 0\.99\d* over 12 points, 1 of them outliers",
-        sentence,
-    )
 
 
 def test_refusals() -> None:
