@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from math import ceil
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from sysid.journal import tell
 from sysid.types import FloatArray
 
 Columns = tuple[NDArray[Any], ...]
+# A pure function of rows (P, n) that returns arrays with one entry per row: equal rows give equal numbers
+# whatever their neighbours.
+Work = Callable[[FloatArray], Columns]
 
 # Least computing time of a chunk [s]: a scheduler spends a millisecond on it, a generation lasts longer.
 CHUNK_TIME = 0.06
@@ -54,14 +57,6 @@ class ClusterError(SysidError):
 
 class ClosedError(RuntimeError):
     """A run that was called off asked for work after the executor had been closed."""
-
-
-class Work(Protocol):
-    """A pure function of rows: equal rows give equal numbers whatever their neighbours."""
-
-    def __call__(self, rows: FloatArray, /) -> Columns:
-        """Return arrays with one entry per row (P, n)."""
-        ...
 
 
 class Executor(ABC):

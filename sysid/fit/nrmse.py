@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from sysid.errors import FitError
 from sysid.fit.nrmse_kernels import FAILED_NRMSE, prepare_trial, score_population
-from sysid.fit.trial import ComparedChannel
+from sysid.fit.trial import ComparedChannel, Cost
 from sysid.parallel import in_threads
 from sysid.types import BoolArray, FloatArray
 
@@ -98,23 +98,7 @@ def divisor(
     return scale
 
 
-class WeightedNrmse:
-    """The mean of NRMSE over channels, by their weights, then over trials; numbers do not depend on threads.
-
-    `weights` (C,) count in the mean over channels; `denominators` (T, C) [channel units].
-    """
-
-    weights: FloatArray
-    denominators: FloatArray
-
-    def mean(self, by_channel: FloatArray) -> FloatArray:
-        """Return the weighted mean over channels, then over trials, of (..., T, C) NRMSE [1]."""
-        used = self.weights > 0
-        weights = self.weights[used] / self.weights[used].sum()
-        return np.mean(np.sum(by_channel[..., used] * weights, axis=-1), axis=-1)
-
-
-class FilteredNrmse(WeightedNrmse):
+class FilteredNrmse(Cost):
     """NRMSE of a population against several trials, compiled; parallel over candidates only.
 
     Simulated samples are laid out trial after trial along one axis: trial ``t`` occupies rows
@@ -139,6 +123,8 @@ class FilteredNrmse(WeightedNrmse):
     ValueError
         When shapes contradict each other or taps are not odd and symmetric.
     """
+
+    channels: tuple[CostChannel, ...]
 
     def __init__(
         self, trials: Sequence[TrialTarget], channels: Sequence[CostChannel], denominator: Denominator = "std"

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from sysid.fit.history import RunHistory
 from sysid.fit.stopping import REASONS, StopReason
 from sysid.journal import Finding
-from sysid.parameters import SearchSpace, about, common_name, in_words, with_unit
+from sysid.parameter_sets import ParameterRecord
+from sysid.parameters import Parameter, SearchSpace, about, common_name, in_words, with_unit
 from sysid.types import BoolArray, FloatArray, IntArray
 
 # Relative difference of NRMSE that tells optima apart: twice what adaptive integration leaves uncertain.
@@ -31,20 +31,11 @@ ENDS_WITHIN = 3e-5
 CUT: tuple[StopReason, ...] = ("interrupted", "time", "evaluations", "generations")
 # The spread of such sets from which on a parameter is named [1].
 _NAMED = 0.01
+# A free parameter, of whose search scale and bounds must be known.
+Searched = Parameter | ParameterRecord
 # The data do not determine a parameter when equally good candidates spread over more than a factor
 # (logarithmic scale), a share of its range (linear scale).
 _FACTOR, _SHARE = 3.0, 1 / 3
-
-
-class Searched(Protocol):
-    """What must be known of a free parameter: the scale and the bounds of its search."""
-
-    @property
-    def scale(self) -> str | None: ...
-    @property
-    def lower(self) -> float | None: ...
-    @property
-    def upper(self) -> float | None: ...
 
 
 @dataclass(frozen=True, eq=False)

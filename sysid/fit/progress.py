@@ -144,7 +144,7 @@ class FitProgress(LiveBlock):
 
     def block(self) -> Text:
         """Return a line for every run, and a bar over all."""
-        share = self._done()
+        share = 1.0 - self._left() / (self._expected() * self._settings.runs)
         full = round(_BAR * share)
         bar = f"{'━' * full}{'─' * (_BAR - full)} {100 * share:3.0f} %  left {self.time_left()}"
         lines = [*(self.line(run) for run in range(self._settings.runs)), bar]
@@ -167,9 +167,6 @@ class FitProgress(LiveBlock):
                 scored = self._running[run].evaluations if run in self._running else 0
                 left += max(expected - scored, _STILL * expected)
         return left
-
-    def _done(self) -> float:
-        return 1.0 - self._left() / (self._expected() * self._settings.runs)
 
     def time_left(self) -> str:
         """Return an estimate of the time that is left (``~``), or the bound that a limit sets (``<``)."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
+from collections.abc import Callable
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 from math import ceil
 from typing import get_args
@@ -29,7 +29,7 @@ from sysid.fit.least_squares import LeastSquares
 from sysid.fit.problem import Problem
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, StopReason
-from sysid.fit.trial import Evaluation, count_causes
+from sysid.fit.trial import count_causes
 from sysid.types import FloatArray
 
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
@@ -53,18 +53,14 @@ _CUT = get_args(CutReason)
 _HEARING = 0.2
 
 
-def _ignore(*_: object) -> None:
-    return
-
-
 @dataclass(frozen=True)
 class Hooks:
     """What a search calls, and what may end it."""
 
     # Called with the run (from 0) and every new `Generation`.
-    on_generation: Callable[[int, Generation], None] = _ignore
+    on_generation: Callable[[int, Generation], None] = lambda run, generation: None
     # Called with the run (from 0) and its history when it ends.
-    on_run: Callable[[int, RunHistory], None] = _ignore
+    on_run: Callable[[int, RunHistory], None] = lambda run, history: None
     # Asked after every generation; True ends the fit and keeps what was found.
     should_stop: Callable[[], bool] = lambda: False
 
@@ -221,7 +217,13 @@ class _Run:
             if bred.needs_residuals:
                 scored, residuals = self.objective.examine(points)
             else:
-                scored, residuals = _scored(self.objective, points), None
+                scored, residuals = self.objective.evaluate(points), None
+                bad = int(np.count_nonzero(~np.isfinite(scored.cost)))
+                if bad or scored.cost.shape != (len(points),):
+                    raise FitError(
+                        f"{bad} of {len(points)} candidates have no finite NRMSE; a failed simulation must "
+                        "score its penalty, so please report this campaign"
+                    )
             bred.tell(scored.cost, residuals)
             self.evaluations += len(points)
             self.simulations += scored.simulations
@@ -267,17 +269,6 @@ def run_seeds(settings: SearchSettings) -> tuple[int, ...]:
     """Return the seed of every run; more runs keep the first ones."""
     children = np.random.SeedSequence(settings.seed).spawn(settings.runs)
     return tuple(int(child.generate_state(1, np.uint32)[0]) for child in children)
-
-
-def _scored(objective: Problem, points: FloatArray) -> Evaluation:
-    scored = objective.evaluate(points)
-    if scored.cost.shape != (len(points),) or not np.all(np.isfinite(scored.cost)):
-        bad = int(np.count_nonzero(~np.isfinite(scored.cost)))
-        raise FitError(
-            f"{bad} of {len(points)} candidates have no finite NRMSE; a failed simulation must score its "
-            "penalty, so please report this campaign"
-        )
-    return scored
 
 
 def run_many(
@@ -343,21 +334,18 @@ def run_many(
         pool = ThreadPoolExecutor(at_once, thread_name_prefix="run")
         futures = [pool.submit(search_run, run) for run in range(settings.runs)]
         try:
-            # With a timeout, so that Ctrl-C is heard on every system while this thread waits.
-            while wait(futures, _HEARING, FIRST_EXCEPTION).not_done and not _one_failed(futures):
-                pass
-            if _one_failed(futures):
-                failed.set()
+            left = {*futures}
+            while left and not failed.is_set():
+                # With a timeout, so that Ctrl-C is heard on every system while this thread waits.
+                ended, left = wait(left, _HEARING, FIRST_EXCEPTION)
+                if any(future.exception() for future in ended):
+                    failed.set()
             histories = [future.result() for future in futures]
         finally:
             # A run that waits for a cluster ends when the cluster is closed.
             failed.set()
             pool.shutdown(wait=False, cancel_futures=True)
     return tuple(history for history in histories if history is not None)
-
-
-def _one_failed(futures: Sequence[Future[RunHistory | None]]) -> bool:
-    return any(future.done() and future.exception() is not None for future in futures)
 
 
 def _one_at_a_time(hooks: Hooks) -> Hooks:

@@ -32,14 +32,6 @@ REASONS: dict[str, str] = {
 }
 
 
-class StopFlag(threading.Event):
-    """A request to end at the next generation's end; calling it tells whether it was made."""
-
-    def __call__(self) -> bool:
-        """Return True once the end was asked for."""
-        return self.is_set()
-
-
 class CutShort(Exception):
     """What follows a search was ended by `reason`, a key of `REASONS`: the user, or the time limit."""
 
@@ -52,7 +44,7 @@ class Deadline:
     """When a whole fit must end: at Ctrl-C (`flag`), or when its time limit [s] from now on has passed."""
 
     def __init__(self, time_limit: float | None = None) -> None:
-        self.flag = StopFlag()
+        self.flag = threading.Event()
         self._end = None if time_limit is None else time.monotonic() + time_limit
 
     @property
@@ -62,7 +54,7 @@ class Deadline:
 
     def check(self) -> bool:
         """Return False while there is time, as a search asks whether to stop; else raise `CutShort`."""
-        if self.flag():
+        if self.flag.is_set():
             raise CutShort("interrupted")
         if self.left == 0.0:
             raise CutShort("time")
@@ -70,13 +62,14 @@ class Deadline:
 
 
 @contextmanager
-def stop_on_interrupt(on_stop: Callable[[], None] | None = None) -> Iterator[StopFlag]:
+def stop_on_interrupt(on_stop: Callable[[], None] | None = None) -> Iterator[threading.Event]:
     """Turn Ctrl-C into a stop flag while the block runs.
 
-    The first Ctrl-C sets the flag (and calls `on_stop`); the next one raises KeyboardInterrupt as usual.
+    The first Ctrl-C sets the flag, a request to end at the next generation's end (and calls `on_stop`); the
+    next one raises KeyboardInterrupt as usual.
     Outside the main thread no handler can be installed, and the flag is only set by its owner.
     """
-    flag = StopFlag()
+    flag = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield flag
         return
@@ -85,7 +78,7 @@ def stop_on_interrupt(on_stop: Callable[[], None] | None = None) -> Iterator[Sto
 
     def handler(signum: int, frame: FrameType | None) -> None:
         nonlocal heard
-        if flag():
+        if flag.is_set():
             if time.monotonic() - heard < ONE_PRESS:
                 return
             raise_interrupt(signum, frame)

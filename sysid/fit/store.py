@@ -42,18 +42,13 @@ def check_new_fit(path: str | Path, force: bool = False) -> None:
     check_folder(path, force=force, marker="fit.h5", error_type=FitError)
 
 
-def no_files(fit_sha256: str) -> Mapping[str, bytes]:
-    """Return no further files."""
-    return {}
-
-
 def write_fit(
     result: FitResult,
     path: str | Path,
     force: bool = False,
     *,
     shown: FitResult | None = None,
-    beside: Callable[[str], Mapping[str, bytes]] = no_files,
+    beside: Callable[[str], Mapping[str, bytes]] | None = None,
 ) -> Path:
     """Write a fit folder, whose parents are made, and return its path.
 
@@ -67,7 +62,8 @@ def write_fit(
     texts = fit_texts(shown or result)
     record, metadata = run_record(result), sets.metadata().line()
     numbers = FIT_FILE.content(lambda file: _write_numbers(file, result, sets, record, metadata))
-    texts |= beside(hashlib.sha256(numbers).hexdigest())
+    if beside is not None:
+        texts |= beside(hashlib.sha256(numbers).hexdigest())
     with replaced_folder(path, force=force, marker="fit.h5", error_type=FitError) as folder:
         (folder / "fit.h5").write_bytes(numbers)
         for name, data in texts.items():

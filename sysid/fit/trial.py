@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,20 +25,20 @@ class ComparedChannel:
     unit: str
 
 
-class Cost(Protocol):
-    """An NRMSE: weights of the channels (C,), denominators (T, C) [channel unit]."""
+class Cost:
+    """The mean of NRMSE over channels, by weight, then over trials; no number depends on threads."""
 
+    channels: Sequence[ComparedChannel]
+    # (C,) weights in the mean over channels [1].
     weights: FloatArray
+    # (T, C) divisors of the NRMSE [channel units].
     denominators: FloatArray
-
-    @property
-    def channels(self) -> Sequence[ComparedChannel]:
-        """The compared channels."""
-        ...
 
     def mean(self, by_channel: FloatArray) -> FloatArray:
         """Return the weighted mean (...) over channels, then over trials, of (..., T, C) NRMSE [1]."""
-        ...
+        used = self.weights > 0
+        weights = self.weights[used] / self.weights[used].sum()
+        return np.mean(np.sum(by_channel[..., used] * weights, axis=-1), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)

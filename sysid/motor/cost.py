@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from sysid.fit.nrmse import FAILED_NRMSE, Denominator, WeightedNrmse, divisor
-from sysid.fit.trial import ComparedChannel
+from sysid.fit.nrmse import FAILED_NRMSE, Denominator, divisor
+from sysid.fit.trial import ComparedChannel, Cost
 from sysid.parallel import in_threads
 from sysid.types import BoolArray, FloatArray
 
@@ -42,7 +42,7 @@ class MotorTarget:
     taps: FloatArray
 
 
-class BenchCost(WeightedNrmse):
+class BenchCost(Cost):
     """Compiled NRMSE of a population on several trials; the same numbers on any number of threads.
 
     `weights` of torque and speed count in the mean over channels; the `denominator`, "std" or "range" of the

@@ -330,6 +330,11 @@ class LadderDocument(TrustPart):
     seconds: float
 
 
+def larger(width: float, other: float) -> float:
+    """Return the larger of two half-widths [1]; NaN counts as not there."""
+    return max(width, other, key=lambda w: -1.0 if w != w else w)
+
+
 class Expected(Part):
     """What the trials of a campaign are expected to determine of a parameter, before a fit.
 
@@ -350,7 +355,7 @@ class Expected(Part):
     @property
     def worse(self) -> float:
         """The larger of both half-widths [1]."""
-        return max(self.half_width, self.half_width_over_bounds, key=lambda w: -1.0 if w != w else w)
+        return larger(self.half_width, self.half_width_over_bounds)
 
 
 class ExpectedParameter(Expected):
@@ -363,11 +368,17 @@ class ExpectedParameter(Expected):
 class CandidateRecording(Part):
     """A recording that could be made next: what it leaves open of each parameter, as `Expected` states it."""
 
+    # Such as ``a drop on 25 deg at 0.8 m/s``.
     title: str
+    # Logarithm by which the half-widths of the weakly determined parameters fall, summed [1].
     gain: float
     half_widths: dict[str, float]
     half_widths_over_bounds: dict[str, float]
     verdicts: dict[str, str]
+
+    def worse(self, name: str) -> float:
+        """Return the larger of both half-widths of a parameter [1]."""
+        return larger(self.half_widths[name], self.half_widths_over_bounds[name])
 
 
 class CheckDocument(Part):

@@ -7,14 +7,14 @@ while nothing happens, walked through the filter. Over the bounds: the half-widt
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from sysid.fit.problem import Problem
 from sysid.fit.trial import NoiseModel
 from sysid.parameters import SearchSpace
-from sysid.trust.documents import Expected
+from sysid.trust.documents import CandidateRecording, Expected, larger
 from sysid.trust.linearized import Linearized, bounded_information, gradient_noise, half_widths, linearized
 from sysid.trust.problem import jacobian, scales
 from sysid.trust.verdicts import verdict
@@ -37,9 +37,9 @@ def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearize
     return linearized(problem, point, floor, scale, sample, noise, problem.disturbances(point))
 
 
-def drawn_outlooks(problem: Problem, noise: NoiseModel, seed: int = 0) -> tuple[Linearized, ...]:
+def drawn_outlooks(problem: Problem, noise: NoiseModel) -> tuple[Linearized, ...]:
     """Return the outlooks at points drawn from the bounds, as far as they can be simulated."""
-    drawn = np.random.default_rng(seed).random((ELSEWHERE, len(problem.space.free)))
+    drawn = np.random.default_rng(0).random((ELSEWHERE, len(problem.space.free)))
     drawn = _INSIDE + (1 - 2 * _INSIDE) * drawn
     _, failed = problem.residuals(drawn)
     return tuple(outlook(problem, point, noise) for point in drawn[~failed])
@@ -65,7 +65,7 @@ def expectations(
         Expected(
             name=row.name, symbol=row.symbol, unit=row.unit, value=value[i], half_width=view.half_widths[i],
             half_width_over_bounds=elsewhere[i], partners=partners[i],
-            verdict=verdict(float(np.fmax(view.half_widths[i], elsewhere[i]))),
+            verdict=verdict(larger(float(view.half_widths[i]), float(elsewhere[i]))),
         )
         for i, row in enumerate(problem.space.free)
     )  # fmt: skip
@@ -95,26 +95,6 @@ def information_by_channel(problem: Problem, view: Linearized) -> FloatArray:
     return out / np.maximum(out.sum(axis=1, keepdims=True), 1e-300)
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A recording that could be made next, such as ``a drop on 25 deg at 0.8 m/s``.
-
-    `half_widths` (n,) are every parameter's with it [1], `over_bounds` (n,) the median over points drawn from
-    the bounds; NaN where not computed. `gain` is the logarithm by which the half-widths of the weakly
-    determined parameters fall, summed [1].
-    """
-
-    title: str
-    half_widths: FloatArray
-    over_bounds: FloatArray
-    gain: float
-
-    @property
-    def worse(self) -> FloatArray:
-        """(n,) the larger of both half-widths [1]."""
-        return np.fmax(self.half_widths, self.over_bounds)
-
-
 def rank_candidates(
     problem: Problem,
     view: Linearized,
@@ -122,7 +102,7 @@ def rank_candidates(
     titles: tuple[str, ...],
     weak: BoolArray,
     drawn: Sequence[Linearized] = (),
-) -> tuple[Candidate, ...]:
+) -> list[CandidateRecording]:
     """Rank recordings by what they would add, the best first.
 
     `problem` is what was recorded, and `view` what it leaves open. `others` has the same free parameters and
@@ -131,7 +111,7 @@ def rank_candidates(
     """
     widths = _with_each(problem, view, others)
     if widths is None:
-        return ()
+        return []
     gains = np.log(np.maximum(view.half_widths, 1e-12) / np.maximum(widths, 1e-12))[:, weak].sum(axis=1)
     order = np.argsort(-gains, kind="stable")
     elsewhere = np.full(widths.shape, np.nan)
@@ -144,7 +124,15 @@ def rank_candidates(
         filled = [np.tile(o.half_widths, (len(best), 1)) if e is None else e
                   for o, e in zip(drawn, every, strict=True)]  # fmt: skip
         elsewhere[sorted(best)] = np.median(filled, axis=0)
-    return tuple(Candidate(titles[t], widths[t], elsewhere[t], float(gains[t])) for t in order)
+    by_name = [dict(zip(problem.space.names, row, strict=True)) for row in widths.tolist()]
+    over_bounds = [dict(zip(problem.space.names, row, strict=True)) for row in elsewhere.tolist()]
+    return [
+        CandidateRecording(
+            title=titles[t], gain=gains[t], half_widths=by_name[t], half_widths_over_bounds=over_bounds[t],
+            verdicts={name: verdict(larger(w, over_bounds[t][name])) for name, w in by_name[t].items()},
+        )
+        for t in order
+    ]  # fmt: skip
 
 
 def _with_each(problem: Problem, view: Linearized, others: Problem) -> FloatArray | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +13,7 @@ from sysid.fit.problem import Problem
 from sysid.fit.search import run_one
 from sysid.fit.settings import SearchSettings
 from sysid.parameters import SearchSpace
-from sysid.types import BoolArray, FloatArray
-
-Residuals = Callable[[FloatArray], tuple[FloatArray, BoolArray]]
+from sysid.types import FloatArray
 
 TOLERANCE, _ITERATIONS = 1e-4, 15
 
@@ -38,13 +36,11 @@ def starting_point(problem: Problem, wider: Problem, values: Mapping[str, float]
     return np.clip(space.encode(np.array([known[name] for name in space.names])), 0.0, 1.0)
 
 
-def downhill(
-    problem: Problem, starts: FloatArray, residuals: Residuals | None = None
-) -> tuple[FloatArray, int]:
+def downhill(problem: Problem, starts: FloatArray) -> tuple[FloatArray, int]:
     """Walk from starts (F, n) [unit cube] to the least mean NRMSE; return where, and the simulated points."""
     fronts = Fronts.at(np.unique(starts, axis=0))
     walk = descend(fronts, MeanNrmse(problem), tolerance=TOLERANCE, iterations=_ITERATIONS)
-    evaluations = drive(walk, residuals or problem.residuals)
+    evaluations = drive(walk, problem.residuals)
     fronts.sort()
     return fronts.points[0].copy(), evaluations
 

@@ -14,7 +14,6 @@ from sysid.journal import Journal, Say
 from sysid.trust.documents import CandidateRecording, CheckDocument, Expected, ExpectedParameter
 from sysid.trust.linearized import Linearized
 from sysid.trust.sensitivity import (
-    Candidate,
     drawn_outlooks,
     expectations,
     information_by_channel,
@@ -56,7 +55,7 @@ def check_campaign(
             drawn = drawn_outlooks(problem, noise)
             view, expected = expectations(problem, nominal_point(problem.space), noise, drawn)
             weak = np.array([row.verdict != "well" for row in expected])
-            candidates: tuple[Candidate, ...] = ()
+            candidates: list[CandidateRecording] = []
             if weak.any():
                 made = kind.candidates(problem, problem.space.full(view.point[None])[0])
                 if made is not None:
@@ -78,22 +77,21 @@ def _verdicts(
     problem: Problem,
     view: Linearized,
     expected: tuple[Expected, ...],
-    candidates: tuple[Candidate, ...],
+    candidates: list[CandidateRecording],
     single: str,
 ) -> dict[str, Any]:
     """Return verdicts, the candidates, and what they say in sentences; `single` is what a candidate is."""
     shares = information_by_channel(problem, view)
     lines = list(sentences(expected))
-    names = problem.space.names
     # Derivatives that depend on the step make a verdict a guess.
-    rough = [name for name, good in zip(names, view.jacobian.trusted, strict=True) if not good]
+    rough = [name for name, good in zip(problem.space.names, view.jacobian.trusted, strict=True) if not good]
     if rough:
         lines.append(f"derivatives of {', '.join(rough)} change with the step: their verdicts are rough")
-    for i, row in enumerate(expected):
+    for row in expected:
         if row.verdict == "well":
             continue
-        best = min(candidates, key=lambda c, i=i: float(c.worse[i]), default=None)  # type: ignore[misc]
-        after = np.inf if best is None else float(best.worse[i])
+        best = min(candidates, key=lambda c, name=row.name: c.worse(name), default=None)  # type: ignore[misc]
+        after = np.inf if best is None else best.worse(row.name)
         lifts = _lifts(row, after)
         if verdict(row.half_width) == "well" and not lifts:
             lines.append(
@@ -109,8 +107,7 @@ def _verdicts(
         elif best is not None:
             lines.append(f"no single {single} within the lab's reach determines {row.symbol}")
     # Worth recording is what lifts a verdict.
-    lifting = [(c, [e.symbol for e, w in zip(expected, c.worse.tolist(), strict=True) if _lifts(e, w)])
-               for c in candidates]  # fmt: skip
+    lifting = [(c, [e.symbol for e in expected if _lifts(e, c.worse(e.name))]) for c in candidates]
     worth = [f"{c.title} (lifts {', '.join(symbols)})" for c, symbols in lifting if symbols]
     if worth:
         lines.append("record next: " + ", else ".join(worth[:_NAMED]))
@@ -120,16 +117,7 @@ def _verdicts(
             for row, share in zip(expected, shares, strict=True)
         ],
         "limits": {"well": WELL, "weakly": WEAKLY},
-        "candidates": [
-            CandidateRecording(
-                title=c.title,
-                gain=c.gain,
-                half_widths=dict(zip(names, c.half_widths.tolist(), strict=True)),
-                half_widths_over_bounds=dict(zip(names, c.over_bounds.tolist(), strict=True)),
-                verdicts={n: verdict(w) for n, w in zip(names, c.worse.tolist(), strict=True)},
-            )
-            for c in candidates
-        ],
+        "candidates": candidates,
         "sentences": lines,
     }
 

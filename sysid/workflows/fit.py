@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -25,8 +25,8 @@ from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult, bound_findings, ranked_sets
 from sysid.fit.search import Hooks, run_many
 from sysid.fit.settings import SearchSettings
-from sysid.fit.stopping import CutReason, Deadline, StopFlag, stop_on_interrupt
-from sysid.fit.store import check_new_fit, no_files, write_fit
+from sysid.fit.stopping import CutReason, Deadline, stop_on_interrupt
+from sysid.fit.store import check_new_fit, write_fit
 from sysid.fit.story import Story
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
@@ -113,7 +113,8 @@ def fit_campaign(
             until_done.callback(checkpoint.close)
             # Ctrl-C is a flag from here on: what was found so far is kept.
             deadline.flag = until_written.enter_context(stop_on_interrupt(progress.on_stop))
-            runs, cut = _search(fitted, limited, options, checkpoint, progress, deadline.flag, candidate_time)
+            should_stop = deadline.flag.is_set
+            runs, cut = _search(fitted, limited, options, checkpoint, progress, should_stop, candidate_time)
             sets = ranked_sets(runs, problem.space)
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
             judged = _judged(problem.fitted.exact, outcome)
@@ -130,7 +131,7 @@ def fit_campaign(
                 provenance={**result.provenance, "findings": noticed},
                 warnings=tuple(journal.sentences()),
             )
-            shown, beside = result, no_files
+            shown, beside = result, None
             until_written.close()
             if follows:
                 try:
@@ -230,19 +231,19 @@ def _search(
     options: FitOptions,
     checkpoint: Checkpoint,
     progress: FitProgress,
-    flag: StopFlag,
+    should_stop: Callable[[], bool],
     candidate_time: float,
 ) -> tuple[tuple[RunHistory, ...], CutReason | None]:
     """Search with live progress and checkpoints; return the runs that were begun, and what cut them short.
 
-    A set flag ends the search and keeps what was scored.
+    `should_stop` ends the search and keeps what was scored.
     """
     if options.resume:
         begun, stages = checkpoint.state()
         tell(f"continuing {begun} runs after {stages} finished stages")
     progress.expect(noise_floor(fitted.blocks), candidate_time)
     with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
-        hooks = Hooks(progress.on_generation, progress.on_run, flag)
+        hooks = Hooks(progress.on_generation, progress.on_run, should_stop)
         runs = run_many(
             computed_by(fitted, where),
             settings,

@@ -122,7 +122,7 @@ def compute_and_write(
     with closing(store):
         with executor(options.dask, _AT_ONCE) as where, stop_on_interrupt(progress.on_stop) as stop, progress:
             threads = 1 if options.dask is not None else options.threads
-            result = compute(Computing(where, threads, store, progress.on_block, stop))
+            result = compute(Computing(where, threads, store, progress.on_block, stop.is_set))
         for note in store.notes:
             notice("damaged-block", note)
         if result is None:

@@ -18,24 +18,6 @@ from sysid.synthetic.folder import read_truth
 from sysid.workflows.kinds import naming_campaign, open_campaign
 
 
-def campaign_of(result: FitResult, folder: Path, given: Path | None) -> Path:
-    """Return the campaign file of a fit: given, or where it lay when the fit was made.
-
-    Raises `FitError` when it is not there.
-    """
-    stated = result.provenance.get("campaign", {})
-    if given is not None:
-        if not given.is_file():
-            raise FitError(f"{given}: no such campaign file; --campaign names the one of the fit {folder}")
-        return given
-    stored = stated.get("from_fit_folder")
-    path = shown_from_here(folder / stored) if stored else None
-    if path is None or not path.is_file():
-        name = f"its campaign {stated['file']!r} is not where it was" if stated else "it names no campaign"
-        raise FitError(f"{folder}: {name}; put it there, or name it with --campaign")
-    return path
-
-
 def shown_from_here(path: Path) -> Path:
     """Return a path without the steps back in it, from the current folder where it lies in that."""
     path = path.resolve()
@@ -95,10 +77,18 @@ def reopen(folder: Path, result: FitResult, campaign: Path | None, threads: int 
     """Prepare the trials of a fit that has been read, as `open_fit` does."""
     if not len(result.nrmse):
         raise FitError(f"{folder}: has no set; run the fit again")
-    path = campaign_of(result, folder, campaign)
+    stated = result.provenance.get("campaign", {})
+    path = campaign
+    if path is None and (stored := stated.get("from_fit_folder")):
+        path = shown_from_here(folder / stored)
+    if path is None or not path.is_file():
+        if campaign is not None:
+            raise FitError(f"{campaign}: no such campaign file; --campaign names the one of the fit {folder}")
+        name = f"its campaign {stated['file']!r} is not where it was" if stated else "it names no campaign"
+        raise FitError(f"{folder}: {name}; put it there, or name it with --campaign")
     with naming_campaign(path):
         kind, content, _ = open_campaign(path, result.kind, result.settings)
-        if result.provenance.get("campaign", {}).get("sha256") not in (None, content.source.sha256):
+        if stated.get("sha256") not in (None, content.source.sha256):
             notice(
                 "campaign-changed",
                 f"{path} has changed since the fit {folder} (another SHA-256): what follows is about the "

@@ -47,10 +47,15 @@ def run_genetic(objective, *, finish="none", **search):
 
 def assert_same_run(a, b):
     assert (a.seed, a.evaluations, a.simulations) == (b.seed, b.evaluations, b.simulations)
-    assert [s.stop_reason for s in a.stages] == [s.stop_reason for s in b.stages]
     for x, y in zip(a.stages, b.stages, strict=True):
+        assert (x.algorithm, x.stop_reason, [*x.causes]) == (y.algorithm, y.stop_reason, [*y.causes])
         for name in ("cube", "cost", "failed"):
             np.testing.assert_array_equal(getattr(x, name), getattr(y, name))
+
+
+def assert_same_runs(found, whole):
+    for a, b in zip(found, whole, strict=True):
+        assert_same_run(a, b)
 
 
 class Decay(Bowl):

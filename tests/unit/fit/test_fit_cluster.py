@@ -1,5 +1,6 @@
 """The executor: the same bits from this process and from a real Dask cluster that loses a worker."""
 
+import json
 import os
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes.bowl import Bowl, Decay, assert_same_run
+from fakes.bowl import Bowl, Decay, assert_same_runs
 from fakes.places import SAMPLES
 from sysid import parallel
 from sysid.campaign import read_campaign
@@ -63,8 +64,6 @@ def cluster(folder, workers):
                     **common,
                 )
             )
-        import json
-
         address = json.loads(file.read_text(encoding="utf-8"))["address"]
         with DaskCluster(address, at_once=3) as found:
             found._client.wait_for_workers(workers, timeout=60)
@@ -182,8 +181,7 @@ def test_three_workers_give_the_local_numbers_and_one_may_be_killed(tmp_path, ge
     local = run_many(gear, short)
     with cluster(tmp_path, 3) as (where, processes):
         spread = computed_by(gear, where)
-        for a, b in zip(run_many(spread, short, at_once=3), local, strict=True):
-            assert_same_run(a, b)
+        assert_same_runs(run_many(spread, short, at_once=3), local)
         victims, begun = [processes[1]], where.alive
 
         def kill(run, generation):
@@ -195,17 +193,15 @@ def test_three_workers_give_the_local_numbers_and_one_may_be_killed(tmp_path, ge
         assert victims == []
         assert processes[1].wait(10) != 0
         assert (begun, where.alive) == (3, 2)
-        for a, b in zip(killed, local, strict=True):
-            assert_same_run(a, b)
+        assert_same_runs(killed, local)
 
 
 def test_least_squares_on_a_cluster_gives_the_same_numbers(tmp_path):
     settings = SearchSettings(40, 2, 5)
     with cluster(tmp_path, 2) as (where, _):
         found = run_many(computed_by(Decay(), where), settings, at_once=2)
-    for a, b in zip(found, run_many(Decay(), settings), strict=True):
-        assert [stage.algorithm for stage in a.stages] == ["ga", "least-squares", "cmaes"]
-        assert_same_run(a, b)
+    assert_same_runs(found, run_many(Decay(), settings))
+    assert all([s.algorithm for s in run.stages] == ["ga", "least-squares", "cmaes"] for run in found)
 
 
 @pytest.mark.slow
@@ -230,7 +226,6 @@ def test_a_lost_scheduler_leaves_a_checkpoint_to_continue_from(tmp_path):
     found, whole = run_many(bowl, SETTINGS, checkpoint=again), run_many(Bowl(), SETTINGS)
     assert again.notes == []
     again.discard()
-    for a, b in zip(found, whole, strict=True):
-        assert_same_run(a, b)
+    assert_same_runs(found, whole)
     # A stage that has ended on the cluster is not computed again.
     assert bowl.calls <= sum(len(run.best) for run in whole) - 10

@@ -86,9 +86,9 @@ def test_first_interrupt_sets_the_flag_second_aborts_and_handler_returns(monkeyp
     before = signal.getsignal(signal.SIGINT)
     heard = []
     with stop_on_interrupt(on_stop=lambda: heard.append(True)) as flag:
-        assert not flag()
+        assert not flag.is_set()
         signal.raise_signal(signal.SIGINT)
-        assert flag()
+        assert flag.is_set()
         # A launcher that passes the same press on does not abort.
         signal.raise_signal(signal.SIGINT)
         assert heard == [True]
@@ -103,9 +103,9 @@ def test_interrupt_from_outside():
     with stop_on_interrupt() as flag:
         os.kill(os.getpid(), signal.SIGINT)
         deadline = time.monotonic() + 5.0
-        while not flag() and time.monotonic() < deadline:
+        while not flag.is_set() and time.monotonic() < deadline:
             time.sleep(0.01)
-        assert flag()
+        assert flag.is_set()
 
 
 def test_handler_returns_after_an_error():
@@ -123,7 +123,7 @@ def test_other_threads_get_a_flag_and_no_handler():
         with stop_on_interrupt() as flag:
             seen.append(signal.getsignal(signal.SIGINT) is before)
             flag.set()
-            seen.append(flag())
+            seen.append(flag.is_set())
 
     thread = threading.Thread(target=work)
     thread.start()

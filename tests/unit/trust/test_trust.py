@@ -331,15 +331,15 @@ def test_the_recording_that_sees_the_blind_parameter_is_ranked_first():
     ranked = rank_candidates(problem, view, others, titles, np.array([False, True]))
     assert [one.title for one in ranked] == ["the other", "a little of it", "the same"]
     # 200 samples of unit size at a noise of 0.1: sigma 0.1/sqrt(200), whatever the sample's own rms (5 %).
-    assert ranked[0].half_widths[1] == pytest.approx(NORMAL_95 * 0.1 / np.sqrt(200), rel=0.15)
+    assert ranked[0].half_widths["p1"] == pytest.approx(NORMAL_95 * 0.1 / np.sqrt(200), rel=0.15)
     # A linear model is as well known anywhere; relative to a value between 0.05 and 1.95 instead of 1.
     drawn = drawn_outlooks(problem, noise)
     judged = rank_candidates(problem, view, others, titles, np.array([False, True]), drawn)
     for one, same in zip(judged, ranked, strict=True):
         values = [problem.space.decode(other.point) for other in drawn]
-        expected_there = np.median(same.half_widths[0] / np.array(values)[:, 0])
-        assert one.over_bounds[0] == pytest.approx(expected_there, rel=0.05)
-        assert np.all(one.worse >= one.half_widths)
+        expected_there = np.median(same.half_widths["p0"] / np.array(values)[:, 0])
+        assert one.half_widths_over_bounds["p0"] == pytest.approx(expected_there, rel=0.05)
+        assert all(one.worse(name) >= width for name, width in one.half_widths.items())
     said = sentences(expected)
     assert said[0] == "well identifiable: p_0"
     assert "p1 (p_1) is not identifiable" in said[1]

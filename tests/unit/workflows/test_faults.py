@@ -39,8 +39,8 @@ def campaign(tmp_path_factory):
     """A campaign, a fit of another seed that is to be replaced, and the fit that replaces it."""
     folder = tmp_path_factory.mktemp("faults")
     path = write_lag(folder, SEARCH)
-    old = fit_campaign(path, FitOptions(out=folder / "old", seed=2, quiet=True, check=False, trust=False))[1]
-    new = fit_campaign(path, FitOptions(out=folder / "new", quiet=True, check=False, trust=False))[1]
+    old = fit_campaign(path, FitOptions(out=folder / "old", seed=2, **QUICK))[1]
+    new = fit_campaign(path, FitOptions(out=folder / "new", **QUICK))[1]
     return path, old, new
 
 
@@ -57,7 +57,7 @@ def replaced(campaign, tmp_path, monkeypatch):
         shutil.copytree(old, out)
         with faulty(monkeypatch, disk):
             try:
-                fit_campaign(path, FitOptions(out=out, force=True, quiet=True, check=False, trust=False))
+                fit_campaign(path, FitOptions(out=out, force=True, **QUICK))
             except (SysidError, Killed) as error:
                 return out, error
         return out, None
@@ -69,7 +69,7 @@ def resumed(campaign, out):
     """Continue a fit, or begin it again where no state is left, and check its bits."""
     path, _, new = campaign
     resume = Checkpoint.kept(Checkpoint.folder_of(out))
-    options = FitOptions(out=out, resume=resume, force=not resume, quiet=True, check=False, trust=False)
+    options = FitOptions(out=out, resume=resume, force=not resume, **QUICK)
     fit_campaign(path, options)
     assert numbers(out) == numbers(new)
     # Nothing unfinished is left behind.

@@ -4,28 +4,28 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
+import h5py
 import pytest
 from filelock import FileLock
 
+from fakes.bowl import assert_same_runs
+from sysid import exact_json
+from sysid.campaign.common import FitTable
+from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.store import read_fit
 from sysid.gear import kind
+from sysid.gear import problem as gear
+from sysid.parameters import ParameterTable
+from sysid.search_options import DEFAULT_ALGORITHM, POPULATION
 from sysid.workflows import fit as walk
+from sysid.workflows.fits import list_fits
+from sysid.workflows.options import FitOptions
 
-SMALL = (
-    "--no-trust",
-    "--algorithm",
-    "ga",
-    "--population",
-    "16",
-    "--runs",
-    "2",
-    "--max-generations",
-    "4",
-    "--quiet",
-)
+SEARCH = ("--algorithm", "ga", "--population", "16", "--runs", "2", "--max-generations", "4")
+SMALL = ("--no-trust", *SEARCH, "--quiet")
 
 
 @pytest.fixture
@@ -42,11 +42,7 @@ def cut(campaign, run):
 
 
 def assert_same_fit(a, b):
-    for x, y in zip(read_fit(a).runs, read_fit(b).runs, strict=True):
-        for first, second in zip(x.stages, y.stages, strict=True):
-            assert (first.algorithm, first.stop_reason) == (second.algorithm, second.stop_reason)
-            np.testing.assert_array_equal(first.cube, second.cube)
-            np.testing.assert_array_equal(first.cost, second.cost)
+    assert_same_runs(read_fit(a).runs, read_fit(b).runs)
 
 
 def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, refused):
@@ -78,9 +74,6 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
 
 
 def test_fits_lists_states(campaign, run, refused):
-    from sysid.fit.checkpoint import Checkpoint
-    from sysid.workflows.fits import list_fits
-
     refused("no such folder", "fits")
     assert run("fit-gear", campaign, *SMALL, "--out", "fits/whole")[0] == 0
     cut = ("fit-gear", campaign, *SMALL, "--out", "fits/cut", "--time-limit", "0.001 s")
@@ -107,10 +100,7 @@ def test_fits_lists_states(campaign, run, refused):
 
 def test_fits_of_a_lock_that_cannot_be_opened(cut, monkeypatch, run):
     """A folder in the lock's place, and a lock of somebody else: neither ends the list in a traceback."""
-    from sysid.fit import checkpoint
-    from sysid.workflows.fits import list_fits
-
-    folder = checkpoint.Checkpoint.folder_of(Path("fits") / "synthetic-lf")
+    folder = Checkpoint.folder_of(Path("fits") / "synthetic-lf")
     (folder / "lock").unlink(missing_ok=True)
     assert [entry.state for entry in list_fits("fits")] == ["stopped"]
     assert not (folder / "lock").exists()
@@ -178,10 +168,6 @@ def test_a_fit_whose_last_runs_were_not_begun_is_not_done(campaign, monkeypatch,
 
 
 def test_the_record_says_what_was_run(campaign, run):
-    import h5py
-
-    from sysid import exact_json
-
     assert run("fit-gear", campaign, *SMALL)[0] == 0
     folder = Path("fits") / "synthetic-lf"
     with h5py.File(folder / "fit.h5", "r") as file:
@@ -233,11 +219,6 @@ def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run, r
 
 def test_another_parameter_table_or_accuracy_is_not_continued(cut, monkeypatch, refused):
     """Both count by themselves, not only as a line of the campaign file."""
-    from dataclasses import replace
-
-    from sysid.gear import problem as gear
-    from sysid.parameters import ParameterTable
-
     rows = gear.parameters_on("lf").values()
     wider = [replace(row, upper=2 * row.upper) if row.name == "ground_stiffness" else row for row in rows]
     with monkeypatch.context() as patched:
@@ -273,10 +254,6 @@ def test_more_runs_keep_the_best_five(campaign, run):
 
 
 def test_population_follows_the_algorithm_where_none_is_named():
-    from sysid.campaign.common import FitTable
-    from sysid.search_options import DEFAULT_ALGORITHM, POPULATION
-    from sysid.workflows.options import FitOptions
-
     def searched(table, **options):
         settings = FitOptions(**options).search(FitTable(**table))
         return settings.algorithm, settings.population

@@ -20,18 +20,8 @@ from sysid.workflows.fit import _add_doubts, fit_campaign
 from sysid.workflows.options import FitOptions
 from sysid.workflows.report import write_report
 
-SMALL = (
-    "--no-trust",
-    "--population",
-    "8",
-    "--runs",
-    "2",
-    "--max-generations",
-    "2",
-    "--finish",
-    "none",
-    "--no-check",
-)
+SEARCH = ("--population", "8", "--runs", "2", "--max-generations", "2", "--finish", "none")
+SMALL = ("--no-trust", *SEARCH, "--no-check")
 CURVES = ("static-forward.csv", "static-reverse.csv", "no-load-forward.csv", "no-load-reverse.csv")
 
 LEFT_OUT = "{}: the dead band was not fitted; continue it with --resume"
