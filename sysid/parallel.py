@@ -35,12 +35,13 @@ CHUNK_TIME = 0.06
 # Longest computing time of a chunk where few workers have much to do [s]: longer ones save nothing, and a
 # lost worker loses more.
 LONGEST_CHUNK_TIME = 0.25
-# Kernels compute several rows in the lanes of one core; fewer leave lanes empty.
+# Least number of rows in a chunk: a kernel computes this many side by side on one core.
 _LEAST_CHUNK = 8
-_FIRST_CHUNK = 16  # before any was measured
-# With one chunk each, workers that end early would idle.
+# Largest number of rows in a caller's first chunks, before the computing time of a row is known.
+_FIRST_CHUNK = 16
+# Number of chunks per worker: with one chunk each, workers that end early would idle.
 _CHUNKS_PER_WORKER = 2
-# The same of threads, whose shares cost nothing to hand out.
+# Number of shares per thread: shares cost nothing to hand out.
 _SHARES = 4
 # How often a chunk is submitted before the cluster is given up.
 ATTEMPTS = 6

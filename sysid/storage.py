@@ -32,9 +32,11 @@ from sysid import exact_json
 from sysid.errors import SysidError
 from sysid.types import FloatArray
 
-# How often a refused replacement is tried, and how long to wait between [s].
-_TRIES, _PAUSE = 20, 0.05
-# Deflate packs no more bytes into one.
+# Number of tries to replace a file while the system refuses.
+_TRIES = 20
+# Time between two tries [s].
+_PAUSE = 0.05
+# Largest ratio of an array's size to the bytes that store it [1]: deflate packs no better.
 _LARGEST_GAIN = 1032
 # The errors of h5py on a damaged file depend on where the damage lies.
 _DAMAGE = (

@@ -43,13 +43,14 @@ _IMPEDANCE = 1e-3
 # Time steps to choose from [s]; a foot alone on the ground's spring turns by at most this angle in one [rad].
 _TIMESTEPS = (1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)
 _TURN = 0.25
-# Rate at which friction pulls a slip toward its reference [1/s]: slow enough for the time step. Feet
-# that stick have the rate of `sysid.gear.surfaces.high_friction`.
-_CREEPING_RATE, _STICKING_RATE = 2000.0, 200.0
-# Regularization of friction that sticks, over A.
+# Rate at which friction pulls a creeping slip toward its reference [1/s]: slow enough for the time step.
+_CREEPING_RATE = 2000.0
+# Decay rate of a stuck foot's slip [1/s], as in `sysid.gear.surfaces.high_friction`.
+_STICKING_RATE = 200.0
+# Regularization ``R`` of friction that sticks, over the inverse mass ``A`` of a foot [1].
 _STICKING = 1e-4
 _FOOT_RADIUS = 1e-4
-# A slender leg turns easily about its axis.
+# Moment of inertia of a leg along its axis, over the one across the leg [1].
 _SLENDER = 0.01
 
 _NEEDED = (

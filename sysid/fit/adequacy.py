@@ -27,9 +27,12 @@ from sysid.types import FloatArray
 ROUGHLY = 1.5
 EXPLAINED_BY, ROUGHLY_BY, NOT_BY = "explained", "roughly", "not_explained"
 WORDS = {EXPLAINED_BY: "explained", ROUGHLY_BY: "roughly explained", NOT_BY: "not explained"}
-# A mean residual is systematic beyond these: standard errors of the mean of noise alone, and noise itself.
-_ERRORS, _OF_NOISE = 4.0, 0.5
-# Correlation of the noise as compared from which on two samples count as apart [1].
+# Multiple of the standard error that noise alone gives a channel's mean residual [1]. A systematic mean
+# exceeds this limit and the next one.
+_ERRORS = 4.0
+# Multiple of the noise's standard deviation that a systematic mean residual exceeds [1].
+_OF_NOISE = 0.5
+# Autocorrelation of the noise below which two samples count as independent [1].
 _APART = 0.1
 
 

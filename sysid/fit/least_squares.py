@@ -30,17 +30,20 @@ from sysid.types import BoolArray, FloatArray
 # Damping that is tried in every step, as multiples of a front's present damping.
 _FACTORS = (0.1, 1.0, 10.0)
 _DAMPING = (1e-8, 1e-3, 1e6)
-# Difference steps of the finisher [unit cube]: first, least, largest; the share of the distance that moves
-# the cost by a thousandth.
-_FIRST_STEP, _LEAST_STEP, _LARGEST_STEP, _STEP_SHARE = 3e-3, 1e-3, 0.03, 0.3
+# Difference steps of the finisher [unit cube]: first step, least and largest later step.
+_FIRST_STEP, _LEAST_STEP, _LARGEST_STEP = 3e-3, 1e-3, 0.03
+# Later step over the distance along which the NRMSE changes by 0.1 % [1].
+_STEP_SHARE = 0.3
 # Starts closer than this in every coordinate count as one [unit cube].
 _SAME_START = 0.05
 # A front of the finisher has converged when a step takes less than this share off its cost.
 _TOLERANCE = 1e-4
 # A model explains the trials where its NRMSE is at most this multiple of what noise costs [1].
 EXPLAINED = 1.2
-# The axes of what follows reach where the cost is this share higher, but not beyond this part of the cube.
-_AXIS_COST, _AXIS_LENGTH = 0.005, 0.15
+# Relative rise of the NRMSE at the ends of the axes along which CMA-ES starts after least squares [1].
+_AXIS_COST = 0.005
+# Greatest length of an axis along which CMA-ES starts [unit cube].
+_AXIS_LENGTH = 0.15
 # A channel that fits better than this is not weighted up any further: noise-free samples have no scale [1].
 LEAST_NRMSE = 1e-5
 

@@ -24,12 +24,11 @@ from sysid.types import BoolArray, FloatArray, IntArray
 SAME_NRMSE = 2e-3
 # Distance along an axis of the unit cube within which two places are one, as a share of its edge [1].
 SAME_PLACE = 0.02
-# Relative difference of NRMSE within which searches end, three times CMA-ES's tolerance: none tells apart
-# what lies within it.
+# Relative difference of NRMSE that no search resolves [1], three times the tolerance at which CMA-ES ends.
 ENDS_WITHIN = 3e-5
 # Reasons that end a run before its stop rule does.
 CUT: tuple[StopReason, ...] = ("interrupted", "time", "evaluations", "generations")
-# The spread of such sets from which on a parameter is named [1].
+# Least relative spread of a parameter over equally good sets at which a finding names the parameter [1].
 _NAMED = 0.01
 # A free parameter, of whose search scale and bounds must be known.
 Searched = Parameter | ParameterRecord

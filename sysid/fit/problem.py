@@ -34,7 +34,8 @@ from sysid.parallel import Executor
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray, IntArray
 
-# NRMSE of noise where a channel shows none: as coarse as its last digit, so not known any better.
+# Noise level of a channel whose samples show no noise, over the spread of the channel's signal [1]: the last
+# digit of the log hides the noise.
 ASSUMED_NOISE = 0.02
 # Simulated samples of a population that are in memory at once [bytes].
 _MEMORY = 8e6

@@ -22,9 +22,11 @@ from sysid.fit.stopping import REASONS
 
 # Least time between two plain lines [s].
 PLAIN_INTERVAL = 10.0
-# Candidates of a run until one has ended: with least squares on the samples 1300 (motor) to 2600 (gear);
-# else generations of the paper's algorithm.
-_FAST_RUN, _GENERATIONS = 2000, 60
+# Expected length of a run with least squares on the samples while none has ended [candidates]; measured: 1300
+# for a motor, 2600 for a gear.
+_FAST_RUN = 2000
+# Expected length of a run without least squares while none has ended [generations].
+_GENERATIONS = 60
 # A run that takes more candidates than expected is taken to need this share of them still.
 _STILL = 0.05
 _BAR = 30

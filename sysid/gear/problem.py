@@ -50,8 +50,9 @@ from sysid.parameters import SearchSpace
 from sysid.trust.linearized import noise_model
 from sysid.types import FloatArray
 
-# Tolerance of simulations that trust compares: at the fit's 3e-4 the integration's error moves a sum of
-# squares by as much as one standard deviation of a parameter does.
+# Bound of the integration's error per step [1] in the simulations of the trust analysis: at 3e-4, with which
+# low-friction drops are fitted, the error moves a sum of squares by as much as one standard deviation of a
+# parameter does.
 TRUST_TOLERANCE = 2e-5
 # Least time between two touchdowns of one foot that count as two [s].
 ONE_TOUCHDOWN = 5e-3

@@ -20,7 +20,7 @@ from sysid.types import FloatArray
 
 # Number of samples of noise that pass the filter to show what becomes of noise.
 _NOISE_SAMPLES = 20_000
-# Longest part of a hold that the fit of the flight takes [s].
+# Longest time before the release over which the hanging body's poses enter the fit of the fall [s].
 _HOLD = 2.0
 
 _HEIGHT = Parameter(

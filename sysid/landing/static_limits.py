@@ -58,7 +58,7 @@ How = Literal["slides", "tips", "stays"]
 
 # Slope of a wall [rad].
 VERTICAL = math.pi / 2
-# Step between the slopes on which a drone is set down at once [rad].
+# Difference between neighbouring slopes in the one simulation that sets a drone down on every slope [rad].
 _PUT = math.radians(0.5)
 
 

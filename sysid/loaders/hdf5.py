@@ -30,8 +30,10 @@ _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _HEAP, _HEAD = b"GCOL\x01\0\0\0", 16
 # Largest ratio of samples to stored bytes of one signal: compression of a constant gains less.
 _LARGEST_GAIN = 1000
-# Ratio of all samples to the file's size at most, and bytes that the samples of any file may take.
-_GAIN, _SMALL = 20, 1 << 28
+# Largest memory for the samples of a file, over the file's size [1].
+_GAIN = 20
+# Memory that the samples of any file may take, however small the file is [bytes].
+_SMALL = 1 << 28
 # Held while the limit of memory is set: the process has one.
 _LIMIT = threading.Lock()
 

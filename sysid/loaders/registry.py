@@ -176,8 +176,8 @@ def detect(path: str | Path) -> str:
     return _detect(Source(path)).name
 
 
-# Processor time of a load in this process [s], and further time for each byte of the file [s/byte]: a whole
-# file takes a thirtieth.
+# Largest processor time of a load in this process: constant part [s] and part per byte of the file [s/byte];
+# an undamaged file takes a thirtieth of that time.
 _TIME, _TIME_PER_BYTE = 60.0, 2e-6
 
 

@@ -39,7 +39,8 @@ _NEEDED = ("command", "speed", "torque", "thrust", "voltage", "current")
 _CLOCK_OF = ("torque", "thrust", "speed")
 # Least samples per period of the stop-band edge of a fast log, which is filtered.
 _FAST = 10.0
-# Standard errors by which a friction must differ from none before a torque constant makes room for it.
+# Least friction torque, over its standard error [1], with which the line of torque over current has a
+# friction.
 _SHOWN = 3.0
 # Signs that a campaign may state of a channel; with "auto" the log decides.
 STATED_SIGNS = {"+": 1, "-": -1}

@@ -37,10 +37,15 @@ from sysid.types import FloatArray
 # in none, so the default search replaces a plain CMA-ES here. Five generations before a small CMA-ES found
 # the minimum in all of 84 runs on six benches, three in 47 of 48.
 _POPULATION, _GENERATIONS = 40, 5
-# Number of random candidates whose costs must differ by this share, or no trial feels the dead band.
-_PROBES, _FELT = 32, 1e-6
-# Number of grid points of a profile over its bounds, near the fitted value, and of the other number at each.
-_EDGES, _NEAR, _CURRENTS = 25, 17, 31
+# Number of random candidates that test for an effect of the dead band.
+_PROBES = 32
+# Largest relative difference of the candidates' costs that counts as no effect [1].
+_FELT = 1e-6
+# Numbers of values in a profile: of the profiled parameter over its bounds, and of the same parameter around
+# its fitted value.
+_EDGES, _NEAR = 25, 17
+# Number of values of the other parameter at each of these: so many over its bounds, so many around a guess.
+_CURRENTS = 31
 # Largest relative difference of NRMSE of two dead bands that are equally good [1].
 _LIMIT = 0.01
 # Step of the simulated thrust whose reversal is timed [s].

@@ -37,7 +37,7 @@ FIT_TOLERANCE = 1e-5
 _MEMORY = 4e6
 # Time after a command that counts as its transient, several times a motor's time constant [s].
 _FOLLOWS = 0.3
-# Number of parts of all trials together that a ladder leaves out in turn, about.
+# Approximate number of parts of all trials together that a ladder leaves out in turn.
 _PIECES = 12
 _INDEX = PARAMETERS.index
 _INSTRUMENTS = PARAMETERS.group("instrument")

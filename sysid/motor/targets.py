@@ -28,7 +28,8 @@ _SUPPLY_MEAN = 0.04
 _SUPPLY_LINE = 2e-3
 # Least filter tap that is kept [share of the centre].
 _TAP_LEAST = 1e-4
-# Least share of a trial besides its starts from rest; of less, the whole trial is searched.
+# Least share of a trial's compared samples outside its starts from rest [1]; a trial with less keeps its
+# starts in the dynamic fit.
 _LEAST_LEFT = 0.25
 # Number of samples of the speed that a start from rest needs to show a dead band.
 _LEAST_SHOWN = 10

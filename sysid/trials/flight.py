@@ -26,7 +26,8 @@ _SEEN_HANGING, _HANDS_MOVE = 0.3, 0.004
 _LONG_FALL = 0.06
 # Tolerance on |a|/g [1], and shortest flight of a body in motion and of a body that hung still [s].
 _NEAR, _SHORTEST, _SHORTEST_FALL = 0.25, 0.05, 0.03
-# Ratio of speeds [1] that a body reaches within a time [s] only if its fall goes on.
+# Ratio of the speed after an apparent landing to the speed at the landing [1], and time in which a body
+# reaches that ratio [s] only if the body still falls.
 _FASTER, _SOON = 1.5, 0.1
 # Least distance of positions that have left the flight from it [m], if four standard deviations are less.
 _OFF = 5e-4

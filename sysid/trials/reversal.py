@@ -26,10 +26,12 @@ DEAD_BAND = 0.05
 SLOW = 1.5
 # Last part of the time at one command over which the final value is averaged [1], and least such time [s].
 _LAST, _LEAST_HOLD = 0.25, 0.2
-# Largest difference between the halves of that part of a settled repetition, and its least value as a share
-# of the largest: a battery that sags by a fifth keeps 0.64 of the thrust, a rotor that has not started has
-# none.
-_DRIFT, _LEAST_FINAL = 0.1, 0.6
+# Largest difference between the halves of the averaged part in a settled repetition, over the mean of that
+# part [1].
+_DRIFT = 0.1
+# Least mean of the averaged part in a settled repetition, over the largest one at the same command [1]: a
+# battery that sags by a fifth leaves 0.64 of the thrust, a rotor that has not started leaves none.
+_LEAST_FINAL = 0.6
 # Percentile of the times against which outliers are measured [%]: a controller that fails four times of five
 # still has its quick repetitions there.
 _QUICK = 10.0

@@ -1,7 +1,7 @@
-"""Steady points of a bench log, the zeros and signs that they tell, and starts from rest.
+"""Steady points of a bench log, tare and sign of a channel from them, and starts from rest.
 
-Knows no motor model, only that a propeller's drag and thrust have the sign of its speed and grow with its
-square.
+Knows no motor model, only that thrust and drag torque grow with the square of the propeller's speed and have
+the sign of the speed by the sign convention of `sysid.trials.bench_log`.
 """
 
 from __future__ import annotations
@@ -14,16 +14,19 @@ import numpy as np
 from sysid.trials.bench_log import AT_REST, CommandSteps, Tare, outside
 from sysid.types import FloatArray, IntArray
 
-# Time after a command from which a point counts as steady [s], and largest difference of its two halves [1].
+# Time from a command to the first sample of its steady point [s].
 SETTLE = 0.4
+# Largest relative difference between the mean speeds in the two halves of a steady point [1].
 _DRIFT = 0.02
-# Largest travel of the command over a window of a slow ramp and the settling time before it, jumps included
-# [1], and largest relative difference of the speeds in the window's halves [1]: a rotor with a time constant
-# of 0.1 s then trails its steady speed by 0.5 %.
-_RAMP_TRAVEL, _RAMP_DRIFT = 0.05, 0.01
-# Least number of different speeds for a zero (one more where both directions turn), and least ratio of the
-# fastest to the slowest in one direction.
-_SPEEDS, _SPAN = 3, 1.3
+# Largest range of the command over a window of a slow ramp and the `SETTLE` before the window [1].
+_RAMP_TRAVEL = 0.05
+# Largest relative difference between the mean speeds in the halves of a ramp's window [1]: a rotor with a
+# time constant of 0.1 s then trails its steady speed by at most 0.5 %.
+_RAMP_DRIFT = 0.01
+# Least number of different speeds for an estimate of a tare, one more where the rotor turns both ways.
+_SPEEDS = 3
+# Least ratio of the fastest to the slowest speed in one direction for an estimate of a tare [1].
+_SPAN = 1.3
 # Largest speed at which a rotor may still be in a dead band, as a share of the log's top speed [1].
 _SLOW = 0.25
 
@@ -32,8 +35,9 @@ _SLOW = 0.25
 class SteadyPoints:
     """Averages over stretches at one command, or rows of an averaged log; all arrays (n,), NaN where unknown.
 
-    Command [1], signed speed [rad/s], thrust and torque with the tare subtracted and the sign of the speed
-    [N], [N·m], supply [V], rows behind each point, rows at rest behind the two tares.
+    Command [1], signed speed [rad/s], thrust [N] and torque [N·m] with the tare and sign of the channels that
+    the caller gave, supply [V], number of samples in each point, number of rows at rest from which the tares
+    of thrust and torque come.
     """
 
     u: FloatArray
@@ -66,13 +70,15 @@ def steady_points(
 ) -> SteadyPoints:
     """Average every stretch at one command, from 0.4 s after the command until the next.
 
-    Only stretches that turn and whose speed is the same in both halves to 2 % count. `time` (n,) are rows of
-    the log [s]. Channels are (times, values) of real samples: ``speed`` and, where the log has them,
-    ``thrust``, ``torque`` and ``voltage``. Intervals (start, end) [s] of `skip` do not count; `zero_rows` are
-    rows at rest behind the tare of ``thrust`` and ``torque``.
+    A stretch counts if it has at least 6 samples of the speed, the rotor turns at 1 rad/s or faster, and the
+    mean speeds of the stretch's halves differ by at most 2 % (1 % with `ramp`). `time` (n,) are rows of the
+    log [s]. Channels are (times, values) of samples that a sensor took, none interpolated: ``speed`` and,
+    where the log has them, ``thrust``, ``torque`` and ``voltage``. Intervals (start, end) [s] of `skip` do
+    not count; `zero_rows` is the number of rows at rest from which the tares of ``thrust`` and ``torque``
+    come.
 
-    With `ramp`, average windows of 0.4 s of a command that creeps, so slowly that the rotor keeps up with it.
-    Valid for ramps of 20 s or more from rest to full; ignores what the rotor trails by (0.5 % of its speed).
+    With `ramp`, average windows of 0.4 s of a command that creeps. Valid for ramps of 20 s or more from rest
+    to full command; ignores the rotor's lag behind its steady speed (at most 0.5 % of that speed).
     """
     names, rows = ("speed", "thrust", "torque", "voltage"), []
     if ramp:
@@ -146,7 +152,8 @@ def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:
 def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:
     """Return -1 where values (n,) oppose their speeds (n,) on balance, else +1; 0 where nothing shows it.
 
-    A propeller's drag has the sign of its speed, so the torque of a stand that reads it otherwise is flipped.
+    A propeller's drag torque has the sign of its speed by the convention here; the caller turns the torque of
+    a stand with the opposite convention.
     """
     known = np.isfinite(values) & np.isfinite(speed) & (speed != 0)
     total = float(np.sum(values[known] * speed[known]))
@@ -156,7 +163,8 @@ def sign_against_speed(values: FloatArray, speed: FloatArray) -> int:
 def sign_of_log(values: tuple[FloatArray, FloatArray], speed: tuple[FloatArray, FloatArray]) -> int:
     """Return the sign of a channel (times, values) against a speed over a log; 0 where nothing shows it.
 
-    Serves logs without a steady stretch. Over a whole log the air takes more than the rotor gives back.
+    Serves logs without a steady stretch: over a whole log the rotor gives more energy to the air than its
+    inertia gives back, so the sum of torque times speed keeps the sign of the drag.
     """
     if not values[0].size or not speed[0].size:
         return 0
@@ -169,9 +177,9 @@ def find_starts(
     """Return (start, end) [s] of the spin-ups that begin inside a dead band.
 
     Each runs from the command that finds the rotor inside the band until `SETTLE` after the rotor has left
-    it, at most to the `end` of the log [s]; spin-ups that overlap are one. `time` and `speed` (n,) are real
-    samples of the speed [s], [rad/s], whose sign does not matter; `edge` is the widest dead band to reckon
-    with [rad/s].
+    it, at most to the `end` of the log [s]; spin-ups that overlap are one. `time` and `speed` (n,) are
+    samples that the sensor took [s], [rad/s]; the sign of the speed does not matter. `edge` is the largest
+    speed of the dead band [rad/s]; at most the share `_SLOW` of the log's top speed counts.
     """
     size = np.abs(speed)
     if not size.size:

@@ -49,7 +49,7 @@ from sysid.types import FloatArray, IntArray
 
 # Rounds of fitting and weighting; the weights follow the NRMSE, which hardly moves.
 _ROUNDS = 3
-# Steps of a refit; one that has not come to an end then goes on once.
+# Number of iterations of a refit; a refit that has not converged gets twice as many more, once.
 _ITERATIONS = 8
 # Least number of trials of which one is left out: two that differ do not tell which is odd.
 FEWEST = 3

@@ -22,9 +22,9 @@ from sysid.types import FloatArray
 
 # NRMSE over noise, in medians of the trials, of a trial that does not belong to the others [1].
 STANDS_OUT = 2.0
-# Least move of a parameter that hangs on one trial [standard deviations]; one trial less moves it by about
-# one. Among twenty synthetic campaigns (seeds 1001 to 1020) the one whose fit was wrong moved by 6.4, the
-# farthest of the others by 4.1, the next by 3.3.
+# Least shift of a parameter at which the fit depends on a single trial [standard deviations of what one trial
+# less explains]: that shift is about 1 without an unusual trial. Among twenty synthetic campaigns (seeds 1001
+# to 1020) the one whose fit was wrong moved by 6.4, the farthest of the others by 4.1, the next by 3.3.
 HANGS = 4.5
 # Least share of the variance without a trial that its loss explains [1]: the weighting of the trials hides
 # smaller differences.

@@ -40,19 +40,26 @@ from sysid.trust.problem import scales
 from sysid.trust.terms import TOLERANCE, downhill, freed, searched, starting_point
 from sysid.types import FloatArray
 
-# A term is kept up to this probability of chance, if it gains at least this [1]. A chance that the covariance
-# of a few trials states is itself uncertain: it must be smaller.
-CHANCE, CERTAIN, LEAST_GAIN = 0.05, 1e-3, 0.01
+# Largest probability of chance of a single term, or of a model against a simpler one, that counts as needed
+# [1].
+CHANCE = 0.05
+# Largest probability of chance of a term that is kept in the joint fit [1]: smaller, because a few trials
+# state the covariance badly.
+CERTAIN = 1e-3
+# Least mean gain, the logarithm of the ratio of misfits, of a term that is kept [1].
+LEAST_GAIN = 0.01
 # Least number of trials or parts: of the sign changes of five one in 32 has all gains above zero, so that
 # fewer cannot tell a gain from chance.
 FEWEST = 5
-# Sign changes that are looked at, at most.
+# Largest number of sign changes against which gains are compared: all changes of up to 12 trials or parts,
+# random changes of more.
 _CHANGES = 4096
-# Starts of a term's walks, counted from its value in the paper's model [unit cube]; the first cannot end
-# worse.
+# Starts of a term's walks, less the term's value in the paper's model [unit cube]: the walk from 0 cannot end
+# worse than the model without the term.
 _STARTS = (0.0, -0.15, 0.05, 0.3)
-# Further starts of a simpler model.
+# Number of random starts of a simpler model, besides the one at the values of the base.
 _AROUND = 7
+# Number of iterations of a fit without one trial or part.
 _ITERATIONS_WITHOUT = 6
 
 

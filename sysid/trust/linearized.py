@@ -37,9 +37,11 @@ CHI2 = {0.68: 0.988946, 0.95: 3.841459}
 _OF_BOUNDS = 12.0
 # Largest distance from a bound of a parameter that is at the bound [unit cube].
 _AT_BOUND = 0.01
-# Least deviation of a parameter that the data do not see, over the deviation of its range [1].
+# Least standard deviation of an estimate, over that of a uniform distribution over the parameter's range, at
+# which the data count as saying nothing about the parameter [1].
 _UNSEEN = 0.9
-# Share of a parameter's deviance 1 to which a sum of squares is minimized [1].
+# Largest error of a minimized sum of squares, over the rise of the sum at one standard deviation of a
+# parameter [1].
 _TOLERANCE = 0.02
 # Least correlation of parameters that trade with each other [1].
 PARTNER = 0.8

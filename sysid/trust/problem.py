@@ -30,11 +30,11 @@ from sysid.fit.problem import Problem
 from sysid.fit.trial import Block
 from sysid.types import BoolArray, FloatArray
 
-# Steps of the unit cube: the first one, the least, the largest.
+# Difference steps of a Jacobian [unit cube]: first step, least and largest later step.
 _FIRST, _LEAST, _LARGEST = 2e-3, 5e-4, 0.05
-# A step is this multiple of the parameter's standard deviation when all others are known.
+# Later step over the parameter's standard deviation when all other parameters are known [1].
 _SHARE = 2.0
-# A derivative whose two steps differ by more than this share of it is not trustworthy [1].
+# Largest relative change of a derivative when its step is halved with which the derivative is trusted [1].
 TRUSTED = 0.1
 
 

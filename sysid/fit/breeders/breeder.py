@@ -12,8 +12,9 @@ from sysid.types import FloatArray
 
 # Standard deviation of a CMA-ES that starts anywhere [edges of the cube]: cma's own advice.
 RANDOM_SPREAD = 0.3
-# A converged population spans almost nothing in some directions; CMA-ES needs room to measure them, and to
-# leave a valley that the population has settled in too soon.
+# Least standard deviation with which CMA-ES starts in a coordinate [unit cube]: a converged population spans
+# almost nothing in some directions; CMA-ES needs room to measure them, and to leave a valley that the
+# population has settled in too soon.
 _LEAST_SPREAD = 0.05
 
 

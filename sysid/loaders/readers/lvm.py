@@ -50,9 +50,11 @@ _KEYS = frozenset(
 _BLANK = re.compile(rb"\n[ \t,]*(?=\n)")
 # Longest header of a file or a segment [lines].
 _HEADER_LINES = 100
-# Largest number of digits of an exact step, and least of one that is not rounded: 0.001 is exact, 0.000977 is
-# a rounded 1/1024.
-_EXACT, _DIGITS = 2, 5
+# Largest number of significant digits with which a written time step is exact (0.001). A step with more
+# digits and fewer than `_DIGITS` is rounded (0.000977 for 1/1024).
+_EXACT = 2
+# Least number of significant digits with which a written time step is precise enough.
+_DIGITS = 5
 
 
 def _recognize(source: Source) -> int:

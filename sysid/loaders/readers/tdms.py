@@ -39,11 +39,11 @@ if TYPE_CHECKING:
     import nptdms
 
 _THINNED = re.compile(r"Decimated Data_Level\d+$")
-# Clocks of a computer and a device drift apart by less than this.
+# Largest relative drift between the clocks of a computer and a measuring device [1].
 _DRIFT = 1e-4
 _LEAD_IN = 28
 _BIG_ENDIAN = 1 << 6
-# The path of a channel, or the name, type and value of its property.
+# Path of a channel, or type and value of its start, in what a segment states ahead of its samples.
 _SAID = re.compile(
     rb"(?P<path>/'(?:[^']|'')*'/'(?:[^']|'')*')|wf_start_time(?:\x44\0\0\0|\0\0\0\x44)(?P<time>.{16})",
     re.DOTALL,
