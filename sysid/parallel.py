@@ -235,16 +235,9 @@ class _Shared:
         self._work = work
         self._lock = threading.Lock()
         self._callers = 0  # that wait for their rows
-        self._data: Any = None
+        self._data: Any = None  # handle of the data on the workers
         self._per_row = 0.0  # mean computing time [s]
         self._rows = 0
-
-    def _shared(self) -> Any:
-        """Return the handle of the data on the workers."""
-        with self._lock:
-            if self._data is None:
-                self._data = self._cluster._client.scatter(self._work, broadcast=True, hash=False)
-            return self._data
 
     def __call__(self, rows: FloatArray) -> Columns:
         with self._lock:
@@ -269,7 +262,10 @@ class _Shared:
                 raise self._cluster.lost(why)
             data = None
             try:
-                data = self._shared()
+                with self._lock:
+                    if self._data is None:
+                        self._data = client.scatter(self._work, broadcast=True, hash=False)
+                    data = self._data
                 futures = {
                     first: client.submit(_compute, data, chunk, pure=False)
                     for first, chunk in pending.items()

@@ -44,11 +44,6 @@ class Generation:
         """Lowest NRMSE since the run began [1]."""
         return min(self.lowest, float(np.min(self.cost)))
 
-    @property
-    def median(self) -> float:
-        """Median NRMSE of the population [1]."""
-        return float(np.median(self.cost))
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StageHistory(Brief):

@@ -274,12 +274,10 @@ class MeanNrmse:
         return np.maximum(np.sqrt(squares / self._counts), LEAST_NRMSE)
 
     def cost(self, fronts: object, residuals: FloatArray) -> FloatArray:
-        """Return the costs (F, ...) of residuals (F, ..., m)."""
         mean = np.einsum("...b,b->...", self._scores(residuals), self._weights)
         return np.asarray(2.0 * np.log(mean))
 
     def scale(self, front: int, residuals: FloatArray) -> FloatArray:
-        """Return what weights the residuals (m,) where they are as given."""
         scores = self._scores(residuals)
         mean = float(np.sum(self._weights * scores))
         each = np.sqrt(self._weights / (self._counts * scores * mean))
@@ -315,14 +313,9 @@ class LeastSquares(Breeder):
             self._fronts.cost[count:] = np.inf
 
     def ask(self) -> FloatArray | None:
-        """Return the candidates (P, n_free) to score next, or None when the walk has ended."""
         return self._asked
 
     def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
-        """Take the costs (P,) and residuals (P, m) of the candidates last asked for.
-
-        The residuals of a failed candidate are NaN.
-        """
         assert self._asked is not None
         assert residuals is not None, "least squares lives on residuals"
         for point, value in zip(self._asked, cost, strict=True):

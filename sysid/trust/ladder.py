@@ -137,7 +137,12 @@ class Climber:
         alone = []
         for term in terms:
             self._say(f"{term.title}: fitted, and fitted without each trial")
-            alone.append(self._left_out(self._alone(base, term)))
+            problem = freed(self._problem, (term,))
+            point = starting_point(self._problem, problem, base.values)
+            starts = np.repeat(point[None], len(_STARTS), axis=0)
+            new = slice(len(self._start), None)
+            starts[:, new] = np.clip(starts[:, new] + np.array(_STARTS)[:, None], 0.0, 1.0)
+            alone.append(self._left_out(self._fitted((term,), problem, starts)))
         alone = _judged(alone, base)
         self._found = {rung.terms[0]: rung.values for rung in alone}
         self._say("all terms fitted together, and again without each that is not needed")
@@ -150,23 +155,14 @@ class Climber:
             together = [replace(most, kept=wrong and _needed(most))]
         keep = together[-1].terms if together[-1].kept else ()
         alone = [replace(rung, kept=rung.terms[0] in keep) for rung in alone]
-        less = tuple(self._less(base, title, problem) for title, problem in simpler)
-        return Ladder(base, tuple(alone), tuple(together), less, self.evaluations)
-
-    def _less(self, base: TermFit, title: str, problem: Problem) -> TermFit:
-        """Return a simpler model with what the base gains over it."""
-        self._say(f"{title}: fitted, and fitted without each trial")
-        starts = starts_near(problem.space, base.values)
-        rung = self._left_out(self._fitted((Term(title, ()),), problem, starts))
-        over = _judged([base], rung)[0]
-        return replace(rung, gain=over.gain, chance=over.chance, kept=_needed(over))
-
-    def _alone(self, base: TermFit, term: Term) -> TermFit:
-        problem = freed(self._problem, (term,))
-        starts = np.repeat(starting_point(self._problem, problem, base.values)[None], len(_STARTS), axis=0)
-        new = slice(len(self._start), None)
-        starts[:, new] = np.clip(starts[:, new] + np.array(_STARTS)[:, None], 0.0, 1.0)
-        return self._fitted((term,), problem, starts)
+        less = []
+        for title, problem in simpler:
+            self._say(f"{title}: fitted, and fitted without each trial")
+            starts = starts_near(problem.space, base.values)
+            rung = self._left_out(self._fitted((Term(title, ()),), problem, starts))
+            over = _judged([base], rung)[0]
+            less.append(replace(rung, gain=over.gain, chance=over.chance, kept=_needed(over)))
+        return Ladder(base, tuple(alone), tuple(together), tuple(less), self.evaluations)
 
     def _together(self, base: TermFit, alone: Sequence[TermFit]) -> list[TermFit]:
         """Return the terms to keep, one more on each rung, the most certain first."""

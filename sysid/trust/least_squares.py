@@ -87,13 +87,11 @@ class _Squares:
     root: FloatArray
 
     def cost(self, fronts: Any, residuals: FloatArray) -> FloatArray:
-        """Return the sums of squares (F, ...) of residuals (F, ..., m)."""
         root = self.root[fronts] if len(self.root) > 1 else self.root
         root = root.reshape(len(root), *[1] * (residuals.ndim - 2), -1)
         return np.asarray(np.sum((residuals * root) ** 2, axis=-1))
 
     def scale(self, front: int, residuals: FloatArray) -> FloatArray:
-        """Return the weights (m,) of a front."""
         return self.root[front if len(self.root) > 1 else 0]
 
 

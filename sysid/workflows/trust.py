@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -107,6 +107,9 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         doubts[row.name].append("the model does not explain the trials")
     for finding in _doubtful(space.free, rows, doubts, assessed, opened.result.cube[0]):
         journal.add(finding)
+    known, given = opened.kind.story.known_words, opened.kind.story(opened.problem).given()
+    statement = _STATEMENT + (f" ({known})" if known else "")
+    statement += f"; given {' and '.join(given.values())}" if given else ""
     boot_record, evaluations = None, assessed.profiles.evaluations + trials.evaluations
     if boot is not None:
         boot_record = Bootstrap(resamples=len(boot.points), failed=int(np.count_nonzero(~boot.converged)))
@@ -118,7 +121,7 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         campaign=opened.stated,
         parameters=[_with_doubts(row, doubts[row.name]) for row in rows],
         correlation=linear.information.correlation.tolist(),
-        noise=Noise(statement=_statement(opened), channels=_channels(opened, assessed, floors)),
+        noise=Noise(statement=statement, channels=_channels(opened, assessed, floors)),
         trials=[
             TrialInfluence(
                 name=name,
@@ -128,7 +131,7 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
             )
             for t, name in enumerate(problem.names)
         ],
-        notes=_notes(opened, boot),
+        notes=_notes(len(problem.trials), boot, given),
         spread=_spread(opened.result),
         bootstrap=boot_record,
         evaluations=evaluations,
@@ -235,18 +238,11 @@ def _notice_trials(
             doubts[rows[i].name].append(f"it goes elsewhere without {names[t]}")
 
 
-def _statement(opened: OpenedFit) -> str:
-    """Return what the intervals rest on."""
-    known = opened.kind.story.known_words
-    words = " and ".join(opened.kind.story(opened.problem).given().values())
-    return _STATEMENT + (f" ({known})" if known else "") + (f"; given {words}" if words else "")
-
-
-def _notes(opened: OpenedFit, boot: Solved | None) -> list[str]:
-    """Return what the numbers leave out, one sentence each."""
+def _notes(trials: int, boot: Solved | None, given: Mapping[str, str]) -> list[str]:
+    """Return what the numbers leave out, one sentence each; `given` as in `Story.given`."""
     out = []
-    if boot is None and len(opened.problem.trials) < FEWEST:
-        count = {1: "a single trial", 2: "two trials"}[len(opened.problem.trials)]
+    if boot is None and trials < FEWEST:
+        count = {1: "a single trial", 2: "two trials"}[trials]
         out.append(
             f"no bootstrap and no fits without one trial: of {count} whole ones cannot be drawn or left out"
         )
@@ -256,7 +252,6 @@ def _notes(opened: OpenedFit, boot: Solved | None) -> list[str]:
             f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end; "
             "they count in its intervals from where they are"
         )
-    given = opened.kind.story(opened.problem).given()
     if given:
         out.append(
             f"all intervals: given {' and '.join(given.values())}; a range under parameters.measured "

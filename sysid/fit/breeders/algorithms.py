@@ -44,7 +44,6 @@ class PymooBreeder(Breeder):
         return np.asarray(self._asked.get("X"), dtype=np.float64)
 
     def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
-        """Take the costs (P,) of the candidates last asked for."""
         # pymoo's evaluator would ask every individual several times for constraints that there are not.
         for individual, value in zip(self._asked, cost, strict=True):
             individual.F = np.array([value])
@@ -52,7 +51,6 @@ class PymooBreeder(Breeder):
         self._algorithm.tell(infills=self._asked)
 
     def population(self) -> tuple[FloatArray, FloatArray]:
-        """Return points (P, n_free) and costs (P,) of the population, best first."""
         population = self._algorithm.pop
         cost = np.array([individual.F[0] for individual in population], dtype=np.float64)
         order = np.argsort(cost, kind="stable")

@@ -78,11 +78,9 @@ class EvolutionStrategy(Breeder):
         return self._points
 
     def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
-        """Take the costs (P,) of the candidates last asked for."""
         self._cost = np.array(cost, dtype=np.float64)
         self._strategy.tell(self._drawn, self._cost.tolist())
 
     def population(self) -> tuple[FloatArray, FloatArray]:
-        """Return points (P, n_free) and costs (P,) of the population, best first."""
         order = np.argsort(self._cost, kind="stable")
         return self._points[order], self._cost[order]
