@@ -106,20 +106,11 @@ def descend(
     tolerance: float,
     iterations: int,
 ) -> Walk:
-    """Walk downhill.
+    """Walk downhill, at most so many `iterations`.
 
-    Parameters
-    ----------
-    steps : (n,) array, optional
-        Of the differences [unit cube]; by default from the curvature of every front.
-    fixed : (F, n) bool array, optional
-        Coordinates that keep their value.
-    central : bool
-        Central differences; else one-sided ones, which cost half.
-    tolerance : float
-        A front has converged when two steps in a row take less than this off its cost.
-    iterations : int
-        At most.
+    `steps` (n,) are those of the differences [unit cube], by default from the curvature of every front.
+    Coordinates that are `fixed` (F, n) keep their value. Without `central`, differences are one-sided, which
+    cost half. A front has converged when two steps in a row take less than the `tolerance` off its cost.
     """
     points, cost = fronts.points, fronts.cost
     count, n = points.shape

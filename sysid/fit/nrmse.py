@@ -107,21 +107,8 @@ class FilteredNrmse(Cost):
     of every trial's `measured`. One thread sums each candidate in a fixed order, so numbers do not depend on
     the number of threads.
 
-    Attributes
-    ----------
-    margins : (T,) int array
-        Extra samples on either side of each trial's window.
-    offsets : (T + 1,) int array
-        First row of each trial; the last is the number of rows, ``n_total``.
-    denominators : (T, C) array
-        [channel units].
-
-    Raises
-    ------
-    FitError
-        When a weighted channel is constant or has no valid sample in a trial.
-    ValueError
-        When shapes contradict each other or taps are not odd and symmetric.
+    Raises FitError when a weighted channel is constant or has no valid sample in a trial, ValueError when
+    shapes contradict each other or taps are not odd and symmetric.
     """
 
     channels: tuple[CostChannel, ...]

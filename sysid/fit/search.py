@@ -63,6 +63,8 @@ class Hooks:
     on_run: Callable[[int, RunHistory], None] = lambda run, history: None
     # Asked after every generation; True ends the fit and keeps what was found.
     should_stop: Callable[[], bool] = lambda: False
+    # Taken around the other calls: they are never made from two threads at a time.
+    lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 _NO_HOOKS = Hooks()
@@ -78,24 +80,12 @@ def run_one(
     hooks: Hooks = _NO_HOOKS,
     first_generations: int | None = None,
 ) -> RunHistory:
-    """Run one of the independent runs of a fit.
+    """Run one of the independent runs of a fit, numbered from 0; the `time_limit` counts from now [s].
 
-    Parameters
-    ----------
-    run : int
-        Number of the run, from 0.
-    time_limit : float, optional
-        Of this run, from now [s].
-    checkpoint : Checkpoint, optional
-        Its finished stages are taken as they are; those that finish now are kept there.
-    first_generations : int, optional
-        Generation limit of the first stage [1]; CMA-ES after it is a small one then. By default three before
-        least squares.
-
-    Raises
-    ------
-    FitError
-        When there is no free parameter, a cost is not finite, or the checkpoint cannot be used.
+    Finished stages of the `checkpoint` are taken as they are; those that finish now are kept there.
+    `first_generations` limits the first stage [1], by default to three before least squares; CMA-ES after it
+    is a small one then. Raises FitError when there is no free parameter, a cost is not finite, or the
+    checkpoint cannot be used.
     """
     if not objective.space.free:
         raise FitError("no parameter is free, so there is nothing to fit; name the free ones in the campaign")
@@ -245,7 +235,8 @@ class _Run:
             best.append(min([*best[-1:], float(cost.min())]))
             if cost.min() < lowest:
                 self.best = history("interrupted", slice(-1, None))
-            self.hooks.on_generation(self.run, generation)
+            with self.hooks.lock:
+                self.hooks.on_generation(self.run, generation)
             if self.hooks.should_stop():
                 reason = "interrupted"
             else:
@@ -279,32 +270,14 @@ def run_many(
     hooks: Hooks = _NO_HOOKS,
     at_once: int = 1,
 ) -> tuple[RunHistory, ...]:
-    """Run the independent runs of a fit.
+    """Run the independent runs of a fit, see `run_one`; return those that were begun.
 
-    Parameters
-    ----------
-    objective : Problem
-        Scores from several threads when `at_once` is above 1.
-    checkpoint : Checkpoint, optional
-        Finished stages of the runs; see `run_one`.
-    hooks : Hooks
-        Never called from two threads at a time.
-    at_once : int
-        Runs that are searched at the same time, so that machines do not idle at a generation's end. The
-        numbers do not depend on it.
-
-    Returns
-    -------
-    tuple of RunHistory
-        One per run that was begun; fewer than `settings.runs` only when the fit was interrupted.
-
-    Notes
-    -----
-    The evaluation budget is divided equally; of the time that is left each run gets an equal share, so
-    that a fit cut by its time limit still has one set per run.
+    Fewer than `settings.runs` are begun only when the fit is interrupted. Several runs `at_once` keep
+    machines from idling at a generation's end and change no number; the objective then scores from several
+    threads. The evaluation budget is divided equally; of the time that is left each run gets an equal share,
+    so that a fit cut by its time limit still has one set per run.
     """
     started = time.perf_counter()
-    hooks = _one_at_a_time(hooks)
     failed = threading.Event()
 
     def stop() -> bool:
@@ -325,7 +298,8 @@ def run_many(
             checkpoint=checkpoint,
             hooks=replace(hooks, should_stop=stop),
         )
-        hooks.on_run(run, history)
+        with hooks.lock:
+            hooks.on_run(run, history)
         return history
 
     if at_once <= 1:
@@ -346,17 +320,3 @@ def run_many(
             failed.set()
             pool.shutdown(wait=False, cancel_futures=True)
     return tuple(history for history in histories if history is not None)
-
-
-def _one_at_a_time(hooks: Hooks) -> Hooks:
-    """Return hooks that never run in two threads at once."""
-    lock = threading.Lock()
-
-    def guarded(call: Callable[..., None]) -> Callable[..., None]:
-        def locked(*arguments: object) -> None:
-            with lock:
-                call(*arguments)
-
-        return locked
-
-    return Hooks(guarded(hooks.on_generation), guarded(hooks.on_run), hooks.should_stop)

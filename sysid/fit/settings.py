@@ -91,17 +91,10 @@ class SearchSettings(SearchOptions):
     ) -> StopReason | None:
         """Return why a stage with these limits ends after this generation, or None.
 
-        Parameters
-        ----------
-        best : sequence of float
-            Best cost of every generation so far [1].
-        evaluations, next_evaluations : int
-            Candidates scored so far, and those that another generation would score [1].
-        elapsed : float
-            Wall time of the run [s].
-        settled : bool
-            Whether the last generation has found its valley: before that, a search stands still as one at the
-            bottom does. Three windows without a change end it anyhow.
+        `best` are the best costs of every generation so far [1], `evaluations` and `next_evaluations` the
+        candidates that were scored so far and that another generation would score [1], `elapsed` the wall
+        time of the run [s]. Before a search is `settled` in its valley it stands still as one at the bottom
+        does; three windows without a change end it anyhow.
         """
         if self.change(best) < self.stop_tolerance and (
             settled or self.change(best, 3) < self.stop_tolerance

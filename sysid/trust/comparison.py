@@ -51,20 +51,12 @@ class Comparison(Part):
 def compare_values(
     names: Sequence[str], sets: Sequence[ParameterSets], documents: Sequence[TrustDocument | None]
 ) -> list[Difference]:
-    """Return the difference of every free parameter that two fits share.
+    """Return the difference of every free parameter that two fits share; `names` are the fits'.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the fits.
-    documents : sequence of TrustDocument or None
-        Intervals of each; None: only the spread of the sets is known, which judges nothing (runs that reach
-        one optimum agree whatever the data leave open).
-
-    Notes
-    -----
     The half-widths of the two intervals, on the sides that face each other, add as the root of their squares:
-    the fits' errors are independent. Values that neither fit has found are not compared.
+    the fits' errors are independent. Without a document of intervals only the spread of the sets is known,
+    which judges nothing: runs that reach one optimum agree whatever the data leave open. Values that neither
+    fit has found are not compared.
     """
     known = [document.by_name if document else {} for document in documents]
     out = []

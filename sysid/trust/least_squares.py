@@ -45,24 +45,12 @@ def solve(
     tolerance: float = 1e-3,
     iterations: int = 12,
 ) -> Solved:
-    """Minimize the weighted sum of squares of every front.
+    """Minimize the sum of squares of residuals times `scale` (m,) from `starts` (F, n) [unit cube].
 
-    Parameters
-    ----------
-    starts : (F, n) array
-        In the unit cube.
-    scale : (m,) array
-        What weights the residuals.
-    steps : (n,) array, optional
-        Of the difference Jacobian [unit cube]; by default from the curvature of a sum of squares near 1.
-    fixed : (F, n) bool array, optional
-        Coordinates that keep their value.
-    weights : callable, optional
-        Gives, for a slice of the fronts, further factors (F', m) on the squares of residuals.
-    tolerance : float
-        A front has converged when a step takes less than this off its sum of squares.
-    iterations : int
-        At most.
+    `steps` (n,) are those of the difference Jacobian [unit cube], by default from the curvature of a sum of
+    squares near 1. Coordinates that are `fixed` (F, n) keep their value. `weights` returns, for a slice of
+    the fronts, further factors (F', m) on the squares of residuals. A front has converged when a step takes
+    less than the `tolerance` off its sum of squares.
     """
     n_fronts, n = starts.shape
     if fixed is None:

@@ -37,16 +37,10 @@ def judge(
 ) -> JudgedTrial:
     """Compare a trial with its prediction.
 
-    Parameters
-    ----------
-    nrmse : (S,) array
-        Weighted mean over channels of every set, best first [1].
-    by_channel, simulated : (C,), (n, C) arrays
-        NRMSE and samples as compared, of the best set [1, channel units].
-    spread, noise : (C,) arrays
-        What NRMSE divides by, and the noise's standard deviation, NaN where not known [channel units].
-    contacts : (k,) array, optional
-        Touchdowns of the prediction on the trial's clock [s]; None for a model without contacts.
+    `nrmse` (S,) is the weighted mean over channels of every set, best first [1]; `by_channel` (C,) and
+    `simulated` (n, C) are NRMSE [1] and samples as compared [channel units] of the best set. `spread` (C,) is
+    what NRMSE divides by, `noise` (C,) the noise's standard deviation, NaN where not known [channel units].
+    `contacts` (k,) are the prediction's touchdowns on the trial's clock [s]; None for a model without.
     """
     used = weights > 0
     share = np.where(used, weights, 0.0) / weights[used].sum()

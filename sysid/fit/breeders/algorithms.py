@@ -58,16 +58,12 @@ class PymooBreeder(Breeder):
 
 
 def breeder(name: str, n_free: int, population: int, seed: int, start: Start | None = None) -> Breeder:
-    """Return a seeded breeder.
+    """Return a seeded breeder by name; FitError for an unknown one.
 
-    Parameters
-    ----------
-    name : str
-        ``ga`` is pymoo's GA (tournament selection, simulated binary crossover, polynomial mutation), ``de``
-        its differential evolution best/1/bin, ``pso`` its adaptive particle swarm; ``matlab-ga`` is
-        `sysid.fit.breeders.matlab_genetic` and ``cmaes`` cma's CMA-ES. FitError for another.
-    start : Start, optional
-        Where CMA-ES begins; anywhere by default. Other algorithms begin anywhere.
+    ``ga`` is pymoo's GA (tournament selection, simulated binary crossover, polynomial mutation), ``de`` its
+    differential evolution best/1/bin, ``pso`` its adaptive particle swarm; ``matlab-ga`` is
+    `sysid.fit.breeders.matlab_genetic`, and ``cmaes`` cma's CMA-ES, which begins at `start`. Without it, and
+    with other algorithms, a search begins anywhere.
     """
     if name not in ALGORITHMS:
         raise FitError(f"unknown algorithm {name!r}; expected one of {', '.join(ALGORITHMS)}")
