@@ -115,6 +115,21 @@ def unread_note(columns: Iterable[Column], read: Iterable[Column]) -> list[Findi
     return listing_note("columns-not-read", "columns not read", left)
 
 
+def axis_columns(path: str, columns: Iterable[Column], pattern: re.Pattern[str]) -> dict[str, Column]:
+    """Return axis -> column of the columns whose stem fits a pattern, a group of which is the axis."""
+    matched: dict[str, Column] = {}
+    for column in columns:
+        if match := pattern.match(column.stem):
+            axis = next(group for group in match.groups() if group)
+            if axis in matched:
+                raise LogError(
+                    f'{path}: columns "{matched[axis].label}" and "{column.label}" both name component '
+                    f"{axis}; this format has one body, so remove or rename one"
+                )
+            matched[axis] = column
+    return matched
+
+
 def declare_unit(channel: str, unit: str) -> str:
     """Return the advice to declare a unit, as a campaign and as the command line write it."""
     units = f'units = {{{channel} = "{unit}"}}'
@@ -299,19 +314,8 @@ class NamedTable:
             "rename the column in the log, or name the format if this is another kind of log"
         )
 
-    def read(
-        self,
-        wanted: Iterable[Column],
-        *,
-        least: int | None = None,
-        surplus: bool = False,
-        free_text: int | None = None,
-        again: bool = False,
-    ) -> Numbers:
-        """Return the numbers of some columns, as `read_numbers` does; the file's bytes are released."""
+    def read(self, wanted: Iterable[Column]) -> Numbers:
+        """Return the numbers of some columns; the file's bytes are released."""
         text = self.text
         del self.text
-        places = [column.index for column in wanted]
-        return read_numbers(
-            text, self.head, places, least=least, surplus=surplus, free_text=free_text, again=again
-        )
+        return read_numbers(text, self.head, [column.index for column in wanted])

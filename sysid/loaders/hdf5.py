@@ -61,18 +61,15 @@ class Hdf5Log:
         self.path, self.file = path, file
         self._bytes = Path(path).stat().st_size
         self._left = float(_most_bytes(path))
-        self.notes = length_note(self._stated_length(), self._bytes)
-        self.datasets = self._found()
-
-    def _stated_length(self) -> int:
-        """Return the length that the superblock states; where its version is unknown, the file's length."""
-        begin = self.file.userblock_size
-        with Path(self.path).open("rb") as stream:
+        begin = file.userblock_size
+        with Path(path).open("rb") as stream:
             head = stream.read(begin + 48)[begin:]
-        places = {0: 40, 1: 44, 2: 28, 3: 28}
-        if head[8] not in places or (head[9] if head[8] > 1 else head[13]) != 8:  # of addresses of 8 bytes
-            return self._bytes
-        return int(struct.unpack_from("<Q", head, places[head[8]])[0])
+        # The superblock states the length of the file, at a place of its version; addresses have 8 bytes.
+        place, stated = {0: 40, 1: 44, 2: 28, 3: 28}.get(head[8]), self._bytes
+        if place is not None and (head[9] if head[8] > 1 else head[13]) == 8:
+            (stated,) = struct.unpack_from("<Q", head, place)
+        self.notes = length_note(stated, self._bytes)
+        self.datasets = self._found()
 
     def _found(self) -> dict[str, h5py.Dataset]:
         import h5py
@@ -170,27 +167,15 @@ def _check_heaps(path: str) -> None:
     """
     with Path(path).open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         start = data.find(_HEAP)
-        while start >= 0:
-            if not _walkable(data, start):
-                raise LogError(
-                    f"{path}: HDF5 file is damaged: the list of texts at byte {start} has no end; "
-                    "copy or export it again"
-                )
+        while 0 <= start <= len(data) - _HEAD:  # a file that is cut is seen by the library itself
+            place, end = start + _HEAD, start + int(struct.unpack_from("<Q", data, start + 8)[0])
+            while place + _HEAD <= end <= len(data):
+                index, _, _, length = struct.unpack_from("<HHIQ", data, place)
+                step = length if index == 0 else _HEAD + (length + 7) // 8 * 8
+                if step < _HEAD or step % 8 or place + step > end:
+                    raise LogError(
+                        f"{path}: HDF5 file is damaged: the list of texts at byte {start} has no end; "
+                        "copy or export it again"
+                    )
+                place += step
             start = data.find(_HEAP, start + 1)
-
-
-def _walkable(data: mmap.mmap, start: int) -> bool:
-    if start + _HEAD > len(data):
-        return True  # the file is cut, which the library itself sees
-    (size,) = struct.unpack_from("<Q", data, start + 8)
-    end = start + size
-    if end > len(data):
-        return True
-    place = start + _HEAD
-    while place + _HEAD <= end:
-        index, _, _, length = struct.unpack_from("<HHIQ", data, place)
-        step = length if index == 0 else _HEAD + (length + 7) // 8 * 8
-        if step < _HEAD or step % 8 or place + step > end:
-            return False
-        place += step
-    return True

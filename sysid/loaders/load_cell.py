@@ -7,7 +7,6 @@ the pulse rate; it ignores the direction of turning, which one pulse train does 
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,14 +25,6 @@ _HYSTERESIS = 0.25
 _HOLE = 2.5
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """One channel of a load-cell log: the names it goes by and the unit it is converted to."""
-
-    stems: frozenset[str]
-    unit: str
-
-
 def _axis(kind: str, letters: str, axis: str) -> frozenset[str]:
     return frozenset({f"{letter}{axis}" for letter in letters} | {f"{kind} {axis}", f"{letters[0]} {axis}"})
 
@@ -43,28 +34,32 @@ def shown_unit(unit: str) -> str:
     return {"N*m": "N·m", "m/s^2": "m/s²"}.get(unit, unit)
 
 
-# Thrust and torque are the z components: the axis of the motor on a six-axis cell under it.
-QUANTITIES = {
-    "speed": Quantity(frozenset({"speed", "motor speed", "rotor speed", "omega", "ω", "rpm"}), "rad/s"),
-    "thrust": Quantity(_axis("force", "f", "z") | {"thrust"}, "N"),
-    "torque": Quantity(_axis("torque", "mt", "z") | {"moment z", "torque"}, "N*m"),
-    "force_x": Quantity(_axis("force", "f", "x"), "N"),
-    "force_y": Quantity(_axis("force", "f", "y"), "N"),
-    "torque_x": Quantity(_axis("torque", "mt", "x") | {"moment x"}, "N*m"),
-    "torque_y": Quantity(_axis("torque", "mt", "y") | {"moment y"}, "N*m"),
-    "voltage": Quantity(frozenset({"voltage", "supply voltage", "battery voltage"}), "V"),
-    "current": Quantity(frozenset({"current", "supply current", "motor current"}), "A"),
-}
+# SI unit by channel. Thrust and torque are the z components: the axis of a motor on a six-axis cell.
+UNITS = {
+    "speed": "rad/s", "thrust": "N", "torque": "N*m", "force_x": "N", "force_y": "N", "torque_x": "N*m",
+    "torque_y": "N*m", "voltage": "V", "current": "A",
+}  # fmt: skip
 # Names by channel, with the signals beside the quantities.
-STEMS = {"time": TIME, "command": COMMAND, "tachometer": TACHOMETER} | {
-    name: quantity.stems for name, quantity in QUANTITIES.items()
+STEMS = {
+    "time": TIME,
+    "command": COMMAND,
+    "tachometer": TACHOMETER,
+    "speed": frozenset({"speed", "motor speed", "rotor speed", "omega", "ω", "rpm"}),
+    "thrust": _axis("force", "f", "z") | {"thrust"},
+    "torque": _axis("torque", "mt", "z") | {"moment z", "torque"},
+    "force_x": _axis("force", "f", "x"),
+    "force_y": _axis("force", "f", "y"),
+    "torque_x": _axis("torque", "mt", "x") | {"moment x"},
+    "torque_y": _axis("torque", "mt", "y") | {"moment y"},
+    "voltage": frozenset({"voltage", "supply voltage", "battery voltage"}),
+    "current": frozenset({"current", "supply current", "motor current"}),
 }
 # Channels that make a log a load-cell log; one suffices.
 MEASURED = ("thrust", "torque")
 # Names that only a force sensor has.
-CELL_AXES = (QUANTITIES["thrust"].stems - {"thrust"}) | {"mz", "moment z"}
+CELL_AXES = (STEMS["thrust"] - {"thrust"}) | {"mz", "moment z"}
 # Names that suffice for a second log, recorded beside the load cell's.
-BESIDE = QUANTITIES["speed"].stems | QUANTITIES["voltage"].stems | QUANTITIES["current"].stems | TACHOMETER
+BESIDE = STEMS["speed"] | STEMS["voltage"] | STEMS["current"] | TACHOMETER
 
 
 def check_tachometer(path: str, channels: Collection[str], pulses_per_revolution: object) -> None:

@@ -135,8 +135,8 @@ def _hint(word: str, known: Iterable[str]) -> str:
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
-def _refuse_former(source: Source) -> None:
-    """Refuse a log of a format that sysid no longer reads."""
+def _detect(source: Source) -> LogFormat:
+    # Formats that sysid has given up.
     if source.head.startswith(b"ULog\x01\x12\x35"):
         raise LogError(
             f"{source.path}: a PX4 ULog, which sysid does not read: no fit takes what a drone logs itself; "
@@ -147,10 +147,6 @@ def _refuse_former(source: Source) -> None:
             f"{source.path}: an export of OptiTrack Motive 1.1 or Tracking Tools (one row per frame, 2012), "
             "which sysid does not read; open the take in Motive 2 or later and export it again as CSV"
         )
-
-
-def _detect(source: Source) -> LogFormat:
-    _refuse_former(source)
     known = formats()
     votes = {name: entry.recognize(source) for name, entry in known.items()}
     winners = [name for name, vote in votes.items() if vote == max(votes.values()) > NO]

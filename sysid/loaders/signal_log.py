@@ -21,7 +21,7 @@ from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.clock import DECLARE_RATE, declared_rate, order_rows, rate_clock
 from sysid.loaders.columns import Column, DeclaredUnits, factor_or_none, listing, listing_note, split_label
-from sysid.loaders.load_cell import MEASURED, QUANTITIES, STEMS, check_tachometer, shown_unit, speed_channel
+from sysid.loaders.load_cell import MEASURED, STEMS, UNITS, check_tachometer, shown_unit, speed_channel
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import family_format
 from sysid.loaders.source import Source
@@ -277,9 +277,8 @@ def _channels(path: str, raw: RawSignals, options: BenchOptions) -> tuple[dict[s
                 channels |= speed_channel(path, column.label, time, values, per_revolution, notes)
             else:
                 default = "rpm" if column.stem == "rpm" else None
-                unit = QUANTITIES[channel].unit
-                scale = declared.factor(column, channel, unit, default)
-                channels[channel] = Channel(channel, shown_unit(unit), time, values * scale)
+                scale = declared.factor(column, channel, UNITS[channel], default)
+                channels[channel] = Channel(channel, shown_unit(UNITS[channel]), time, values * scale)
     notes += unknown_units_note(unknown)
     notes += listing_note("passed-over", "passed over, as no rows of numbers", raw.passed_over)
     declared.check_used([signal.column for signal in raw.signals])

@@ -9,7 +9,6 @@ from __future__ import annotations
 import codecs
 import csv
 import hashlib
-import io
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,8 +31,8 @@ _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _SEPARATOR = re.compile(rb'\A[ ]*"?sep=[^\r\n"]?"?[,;\t ]*(?=[\r\n])', re.IGNORECASE)
 # Most characters of a sentence about a log. A longer one keeps its end, which says what to do.
 _LONGEST = 1200
-# Bytes that are decoded at once, and bytes of the longest line: a header of ten thousand columns is shorter.
-_PIECE, _LINE = 1 << 20, 1 << 20
+# Length of the longest line [B]: a header of ten thousand columns is shorter.
+_LINE = 1 << 20
 
 
 class Source:
@@ -91,12 +90,10 @@ class Source:
     def head_lines(self) -> tuple[str, ...]:
         """Lines of `head` as text without their line ends; none for a binary file."""
         try:
-            text = without_separator(decode(self.head, self.path, partial=True))
+            data, _ = _as_utf8(self.head, self.path, whole=False)
         except LogError:
             return ()
-        if "\0" in text:
-            return ()
-        return tuple(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
+        return () if b"\0" in data else tuple(data.decode("utf-8").split("\n"))
 
     def provenance(
         self,
@@ -126,27 +123,6 @@ def _state(file: int | Path) -> tuple[int, int, int]:
     return state.st_ino, state.st_size, state.st_mtime_ns
 
 
-def decode(data: bytes, path: str, *, partial: bool = False) -> str:
-    """Return the text of `data`: UTF-8 or UTF-16 by its mark, else UTF-8, else Windows-1252.
-
-    With `partial`, `data` may end inside a character. A broken UTF-16 file is a LogError.
-    """
-    if data[:2] in _UTF16_MARKS:
-        body = data[: len(data) // 2 * 2] if partial else data
-        try:
-            return body.decode("utf-16")
-        except UnicodeDecodeError as error:
-            raise LogError(
-                f"{path}: marked as UTF-16 but broken at byte {error.start}; save it as UTF-8"
-            ) from error
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        if partial and error.start >= len(data) - 3:
-            return data[: error.start].decode("utf-8-sig")
-        return data.decode("cp1252", errors="replace")
-
-
 @dataclass(frozen=True)
 class Text:
     """A whole text log: `data` is UTF-8 without mark, with ``\\n`` as the only line end."""
@@ -174,36 +150,49 @@ class Text:
             yield number, offset, line
 
 
-def without_separator(text: str) -> str:
-    """Return text with a blank first line where that line names the separator for Excel (``sep=;``)."""
-    return _SEPARATOR.sub(b"", text[:40].encode("utf-8", "surrogatepass")).decode("utf-8") + text[40:]
-
-
 def read_text(source: Source) -> Text:
     """Read a text log whole; NUL bytes (binary, or UTF-16 without a mark) are a LogError."""
-    data = source.read_bytes()
-    notes = []
-    if data[:2] in _UTF16_MARKS:
-        data = _as_utf8(data, "utf-16", source.path)
-        notes.append(note("read-as-utf-16", "read as UTF-16, as its byte-order mark says"))
+    data, notes = _as_utf8(source.read_bytes(), source.path)
     nul = data.find(b"\0")
     if nul >= 0:
         line = data.count(b"\n", 0, nul) + 1
         raise LogError(
-            f"{source.path}, line {line}: NUL byte at byte {nul}: the file is binary, damaged or "
-            "UTF-16 without a mark; export it again as UTF-8 text"
+            f"{source.path}, line {line}: NUL byte: the file is binary, damaged or UTF-16 without a mark; "
+            "export it again as UTF-8 text"
         )
-    data = _SEPARATOR.sub(b"", data.removeprefix(b"\xef\xbb\xbf"))
-    if not data.isascii() and not _is_utf8(data):
-        data = _as_utf8(data, "cp1252", source.path)
-        notes.append(note("read-as-windows-1252", "not UTF-8: read as Windows-1252"))
+    _check_lines(source.path, data)
+    return Text(source.path, data, tuple(notes))
+
+
+def _as_utf8(data: bytes, path: str, *, whole: bool = True) -> tuple[bytes, list[Finding]]:
+    """Return text as UTF-8 without mark, with ``\\n`` as the only line end, and notes.
+
+    Text is UTF-8 or UTF-16 by its mark, else UTF-8, else Windows-1252; without `whole`, it may end inside a
+    character. A broken UTF-16 file is a LogError.
+    """
+    notes = []
+    if not data.isascii():
+        marked = data[:2] in _UTF16_MARKS
+        if marked:
+            notes.append(note("read-as-utf-16", "read as UTF-16, as its byte-order mark says"))
+        try:
+            text = codecs.getincrementaldecoder("utf-16" if marked else "utf-8-sig")().decode(data, whole)
+        except UnicodeDecodeError as error:
+            if marked:
+                raise LogError(
+                    f"{path}: marked as UTF-16 but broken at byte {error.start}; save it as UTF-8"
+                ) from error
+            text = data.decode("cp1252", errors="replace")
+            notes.append(note("read-as-windows-1252", "not UTF-8: read as Windows-1252"))
+        del data  # its memory is free before the text is there twice
+        data = text.encode("utf-8")
+    data = _SEPARATOR.sub(b"", data)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n")
         if b"\r" in data:
             # "\r\r\n", which a text-mode copy makes, is one line end; a lone "\r" is an old one.
             data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    _check_lines(source.path, data)
-    return Text(source.path, data, tuple(notes))
+    return data, notes
 
 
 def _check_lines(path: str, data: bytes) -> None:
@@ -219,34 +208,6 @@ def _check_lines(path: str, data: bytes) -> None:
                 "the file is damaged or of another kind, so export it again"
             )
         begin = end + 1
-
-
-def _pieces(data: bytes, coding: str, errors: str = "strict") -> Iterator[str]:
-    """Yield the text of `data` piece by piece: a whole one would take four bytes a character."""
-    decoder = codecs.getincrementaldecoder(coding)(errors)
-    for begin in range(0, len(data), _PIECE):
-        yield decoder.decode(data[begin : begin + _PIECE], begin + _PIECE >= len(data))
-
-
-def _is_utf8(data: bytes) -> bool:
-    try:
-        for _ in _pieces(data, "utf-8"):
-            pass
-    except UnicodeDecodeError:
-        return False
-    return True
-
-
-def _as_utf8(data: bytes, coding: str, path: str) -> bytes:
-    out = io.BytesIO()
-    try:
-        for piece in _pieces(data, coding, "strict" if coding == "utf-16" else "replace"):
-            out.write(piece.encode("utf-8"))
-    except UnicodeError as error:  # a half of a surrogate pair is refused by the encoder
-        raise LogError(
-            f"{path}: marked as UTF-16 but broken behind {out.tell()} bytes of text; save it as UTF-8"
-        ) from error
-    return out.getvalue()
 
 
 def _on_one_line(text: str) -> str:

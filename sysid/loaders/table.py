@@ -8,11 +8,10 @@ a number is named with its line and its column. Both ways give the same numbers,
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from itertools import chain, islice
@@ -29,8 +28,6 @@ from sysid.recording import FloatArray
 # Number of lines among which a header is looked for: vendors put a few lines before it.
 HEADER_SEARCH = 100
 _MISSING = frozenset({"", "nan", "-nan", "+nan"})
-# Size of the pieces in which delimiters are counted [B]; the arrays of a piece are small beside the numbers.
-_SEARCHED = 1 << 18
 # Least and largest size of the pieces that the engine parses [B]; it needs several times their size.
 _PARSED = (1 << 18, 1 << 20)
 # Largest table that is read line by line for its size alone [B]: reading it so takes as long as the engine
@@ -41,8 +38,6 @@ _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 # Unit in the header of a column of ISO 8601 times, which `stamped` has turned into microseconds.
 STAMPS = "ISO 8601"
 _STAMP = r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?(?:[Zz]|[+-]\d\d(?::?\d\d)?)?"
-# Number of rows that are split into cells at once.
-_BATCH = 4096
 # Largest number of blank cells behind the last column of a row that count as trailing delimiters.
 _MOST_TRAILING = 64
 
@@ -381,35 +376,10 @@ class _Rows:
         line = self.data[begin : begin + int(self.lengths[row])].decode("utf-8", errors="replace")
         return split_line(line, self.delimiter)
 
-    def all_cells(self) -> Iterator[list[str]]:
-        """Yield the cells of every row."""
-        for start in range(0, self.lines.size, _BATCH):
-            rows = range(start, min(start + _BATCH, self.lines.size))
-            spans = [(int(self.begins[row]), int(self.lengths[row])) for row in rows]
-            lines = [self.data[a : a + size].decode("utf-8", errors="replace") for a, size in spans]
-            parted: list[list[str]] = []
-            if self.delimiter != SPACES:
-                try:
-                    parted = list(csv.reader(lines, delimiter=self.delimiter))
-                except csv.Error:
-                    parted = []
-            # An open quote joins lines in the reader of many; split one by one, lines stay apart.
-            yield from parted if len(parted) == len(lines) else (split_line(x, self.delimiter) for x in lines)
-
     def part(self, rows: slice | NDArray[np.bool_]) -> _Rows:
         """Return some of the rows; `data` is shared."""
         chosen = (self.lines[rows], self.begins[rows], self.lengths[rows], self.fields[rows])
         return _Rows(self.data, self.delimiter, *chosen)
-
-    def joined(self) -> bytes:
-        """Return the rows as text, without what stands between them in `data`."""
-        stops = self.begins + self.lengths
-        edges = np.flatnonzero(self.begins[1:] != stops[:-1] + 1) + 1
-        firsts, lasts = np.append(0, edges), np.append(edges, stops.size) - 1
-        if firsts.size == 1:
-            return self.data[self.begins[0] : stops[-1]]
-        view = memoryview(self.data)
-        return b"\n".join(view[self.begins[a] : stops[b]] for a, b in zip(firsts, lasts, strict=True))
 
 
 def _body_end(data: bytes, start: int, delimiter: str) -> tuple[int, bool]:
@@ -431,25 +401,14 @@ def _body_end(data: bytes, start: int, delimiter: str) -> tuple[int, bool]:
 def _measure(data: bytes, start: int, end: int, delimiter: str, first_line: int) -> _Rows:
     """Return the lines of `data` from `start` to `end`; blank ones and comments are not among them."""
     body = np.frombuffer(data, dtype=np.uint8, count=end - start, offset=start)
-    ends, counts, carried, in_word = [], [], 0, False
-    for begin in range(0, body.size, _SEARCHED):
-        part = body[begin : begin + _SEARCHED]
-        breaks = np.flatnonzero(part == 10)
-        if delimiter == SPACES:  # the cells are the words
-            word = part > ord(" ")
-            marks = word.copy()
-            marks[1:] &= ~word[:-1]
-            marks[0] &= not in_word
-            in_word = bool(word[-1])
-        else:
-            marks = part == ord(delimiter)
-        seen = np.cumsum(marks, dtype=np.int32)
-        ends.append(breaks + begin)
-        counts.append(seen[breaks] + carried)
-        carried += int(seen[-1])
-    stops = np.append(np.concatenate(ends), body.size)
+    stops = np.append(np.flatnonzero(body == 10), body.size)
     lengths = np.diff(stops, prepend=-1) - 1
-    fields = np.diff(np.append(np.concatenate(counts), carried), prepend=0)
+    if delimiter == SPACES:  # the cells are the words, counted where they begin
+        marks = body > ord(" ")
+        marks[1:] &= ~marks[:-1]
+    else:
+        marks = body == ord(delimiter)
+    fields = np.diff(np.searchsorted(np.flatnonzero(marks), stops), prepend=0)
     rows = _Rows(
         data, delimiter, first_line + np.arange(stops.size), start + stops - lengths, lengths, fields
     )
@@ -471,7 +430,7 @@ def _decimal_mark(path: str, body: _Rows, wanted: Sequence[int]) -> str:
     first = int(body.begins[0])
     if body.delimiter == "," or body.data.find(b",", first) < 0:
         return "."
-    rows: Iterator[list[str]] = body.all_cells()
+    rows = map(body.cells, range(body.lines.size))
     start = [row[index] for row in islice(rows, 200) for index in wanted if index < len(row)]
     doubtful = ""
     for cells in chain([start], ([row[i] for i in wanted if i < len(row)] for row in rows)):
@@ -514,18 +473,15 @@ def _read_fast(
     precision: Literal["round_trip"] | None = None if version >= (3, 1) else "round_trip"
     columns = {index: np.empty(body.lines.size) for index in wanted}
     piece = min(max((end - begin) // 32, _PARSED[0]), _PARSED[1])
+    separator = r"\s+" if body.delimiter == SPACES else body.delimiter
     start = 0
     while start < body.lines.size:
         stop = max(int(np.searchsorted(body.begins, body.begins[start] + piece)), start + 1)
-        text, delimiter = body.part(slice(start, stop)).joined(), body.delimiter
-        if delimiter == SPACES:
-            text, delimiter = text.replace(b"\t", b" "), "\t"
-            while b"  " in text:  # halves every run of spaces; a regular expression takes ten times as long
-                text = text.replace(b"  ", b" ")
-            text = text.replace(b"\n ", b"\n").replace(b" \n", b"\n").strip(b" ").replace(b" ", b"\t")
+        rows = zip(body.begins[start:stop].tolist(), stops[start:stop].tolist(), strict=True)
+        text = b"\n".join(body.data[first:last] for first, last in rows)
         try:
             frame = pd.read_csv(
-                io.BytesIO(text), sep=delimiter, header=None, names=list(range(int(body.fields.max()))),
+                io.BytesIO(text), sep=separator, header=None, names=list(range(int(body.fields.max()))),
                 usecols=list(wanted), nrows=stop - start, dtype=np.float64, engine="c", decimal=decimal,
                 na_values=["", "nan", "NaN", "NAN"], keep_default_na=False, skip_blank_lines=False,
                 encoding="utf-8", float_precision=precision,
@@ -546,7 +502,8 @@ def _read_slow(
     """Read row by row; return the lines that are rows, with their counts of cells, and their numbers."""
     rows = np.zeros(body.lines.size, dtype=np.bool_)
     columns = {index: np.full(body.lines.size, np.nan) for index in names}
-    for row, cells in enumerate(body.all_cells()):
+    for row in range(body.lines.size):
+        cells = body.cells(row)
         if not cells or cells[0].lstrip().startswith("#") or (len(cells) == 1 and not cells[0].strip()):
             continue
         rows[row], body.fields[row] = True, len(cells)

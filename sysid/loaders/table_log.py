@@ -11,7 +11,7 @@ import numpy as np
 from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.columns import Column, listing_note, naming
-from sysid.loaders.load_cell import QUANTITIES, shown_unit
+from sysid.loaders.load_cell import UNITS, shown_unit
 from sysid.loaders.options import BenchOptions, is_positive
 from sysid.loaders.registry import family_format
 from sysid.loaders.source import Source
@@ -120,7 +120,7 @@ def _load_channels(path: str, raw: RawTable, loads: FloatArray, options: BenchOp
         load = load @ motor_transform(path, options.transform).T  # NaN in all loads that a blank cell enters
         raw.notes.append(note("loads-transformed", "loads are at the motor's axes, as declared by transform"))
     return {
-        name: Channel(name, shown_unit(QUANTITIES[name].unit), raw.time, load[:, i].copy())
+        name: Channel(name, shown_unit(UNITS[name]), raw.time, load[:, i].copy())
         for i, name in enumerate(_LOADS)
     }
 

@@ -19,9 +19,10 @@ from sysid.loaders.load_cell import (
     CELL_AXES,
     COMMAND,
     MEASURED,
-    QUANTITIES,
+    STEMS,
     TACHOMETER,
     TIME,
+    UNITS,
     check_tachometer,
     speed_channel,
 )
@@ -45,7 +46,7 @@ def _recognize(source: Source) -> int:
         return NO
     if stems & CELL_AXES:
         return CERTAIN
-    measured = stems & COMMAND and any(stems & QUANTITIES[name].stems for name in MEASURED)
+    measured = stems & COMMAND and any(stems & STEMS[name] for name in MEASURED)
     return POSSIBLE if measured or (stems & TIME and stems & BESIDE) else NO
 
 
@@ -54,10 +55,8 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     rate = declared_rate(path, options.rate)
     table = NamedTable(source, options)
     header, declared = table.columns, table.declared
-    matches = {name: table.find(quantity.stems) for name, quantity in QUANTITIES.items()}
-    columns = {
-        name: (column, QUANTITIES[name].unit) for name, column in matches.items() if column is not None
-    }
+    matches = {name: table.find(STEMS[name]) for name in UNITS}
+    columns = {name: (column, UNITS[name]) for name, column in matches.items() if column is not None}
     if not any(name in columns for name in MEASURED) and not {column.stem for column in header} & BESIDE:
         raise table.missing('"Fz" or "Mz"')
     command = table.find(COMMAND)

@@ -18,7 +18,7 @@ delivered. Names are those that `load_cell_csv` knows, in any case; other names 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
@@ -80,38 +80,28 @@ def _values(log: Hdf5Log, name: str, dataset: h5py.Dataset, column: int | None) 
     return log.numbers(name, dataset, column).reshape(-1)
 
 
-def _columns(dataset: h5py.Dataset) -> Sequence[int | None]:
-    """Return the columns of a matrix of signals, or None alone for a dataset that is one signal."""
-    shape: tuple[int, ...] = dataset.shape or ()
-    matrix = len(shape) == 2 and 1 < shape[1] <= _MOST_COLUMNS and shape[0] >= 2
-    return range(shape[1]) if matrix and dataset.dtype.kind in "iuf" else (None,)
-
-
-def _signal(log: Hdf5Log, name: str, dataset: h5py.Dataset, column: int | None) -> Signal:
-    """Return a dataset as a signal, whose samples are read and checked only on demand."""
-    unit = attribute_value(dataset.attrs.get("unit", dataset.attrs.get("units")))
-    start = _attribute(dataset, ("start",))
-    if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):
-        raise LogError(f"{log.path}: attribute start of {name} is {start!r}; expected seconds")
-    return Signal(
-        name if column is None else f"{name}[{column + 1}]",
-        None if unit is None else str(unit),
-        partial(_values, log, name, dataset, column),
-        _attribute(dataset, _RATES),
-        float(start or 0.0),
-        inherited=not any(key in dataset.attrs for key in _RATES),
-        numbered=column is not None,
-    )
-
-
 @contextmanager
 def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     with open_hdf5(source, "copy or export it again") as log:
-        signals = [
-            _signal(log, name, dataset, column)
-            for name, dataset in log.datasets.items()
-            for column in _columns(dataset)
-        ]
+        signals = []
+        for name, dataset in log.datasets.items():
+            unit = attribute_value(dataset.attrs.get("unit", dataset.attrs.get("units")))
+            start = _attribute(dataset, ("start",))
+            if start is not None and not (isinstance(start, int | float) and np.isfinite(start)):
+                raise LogError(f"{log.path}: attribute start of {name} is {start!r}; expected seconds")
+            rate, inherited = _attribute(dataset, _RATES), not any(key in dataset.attrs for key in _RATES)
+            shape: tuple[int, ...] = dataset.shape or ()
+            matrix = len(shape) == 2 and 1 < shape[1] <= _MOST_COLUMNS and shape[0] >= 2
+            numbers = dataset.dtype.kind in "iuf"
+            for column in range(shape[1]) if matrix and numbers else (None,):
+                label = name if column is None else f"{name}[{column + 1}]"
+                read = partial(_values, log, name, dataset, column)  # the samples are checked on demand
+                signals.append(
+                    Signal(
+                        label, None if unit is None else str(unit), read, rate, float(start or 0.0),
+                        inherited=inherited, numbered=column is not None,
+                    )
+                )  # fmt: skip
         yield RawSignals(signals, str(attribute_value(log.file.attrs.get("device", ""))), notes=log.notes)
 
 

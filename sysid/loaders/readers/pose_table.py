@@ -15,7 +15,7 @@ file.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from sysid.loaders.columns import (
     Column,
     DeclaredUnits,
     NamedTable,
+    axis_columns,
     declare_unit,
     header_columns,
     listing,
@@ -55,28 +56,12 @@ _TRIPLES = {
 _LONGEST_STEP = 0.5
 
 
-def _matched(path: str, columns: Sequence[Column], pattern: re.Pattern[str]) -> dict[str, Column]:
-    """Return axis -> column of the columns whose stem fits a pattern."""
-    matched: dict[str, Column] = {}
-    for column in columns:
-        match = pattern.match(column.stem)
-        if match:
-            axis = next(group for group in match.groups() if group)
-            if axis in matched:
-                raise LogError(
-                    f'{path}: columns "{matched[axis].label}" and "{column.label}" both name component '
-                    f"{axis}; this format has one body, so remove or rename one"
-                )
-            matched[axis] = column
-    return matched
-
-
 def _recognize(source: Source) -> int:
     columns = header_columns(source)
     clocks = sum(column.stem in _TIME for column in columns)
     try:
-        position = _matched(source.path, columns, _POSITION)
-        named = sum(len(_matched(source.path, columns, names)) for names in (_QUATERNION, _NUMBERED))
+        position = axis_columns(source.path, columns, _POSITION)
+        named = sum(len(axis_columns(source.path, columns, names)) for names in (_QUATERNION, _NUMBERED))
     except LogError:
         return POSSIBLE if clocks else NO
     if clocks != 1 or named < 3:
@@ -87,7 +72,7 @@ def _recognize(source: Source) -> int:
 def _quaternion_columns(table: NamedTable, order: str | None) -> list[Column]:
     """Return the four quaternion columns, w first."""
     path = table.path
-    named = _matched(path, table.columns, _QUATERNION)
+    named = axis_columns(path, table.columns, _QUATERNION)
     if set(named) == set("wxyz"):
         placed = sorted(named, key=lambda axis: named[axis].index)
         if order is not None and "".join(placed) != order:
@@ -96,7 +81,7 @@ def _quaternion_columns(table: NamedTable, order: str | None) -> list[Column]:
                 f"{''.join(placed)}; leave it out or correct it"
             )
         return [named[axis] for axis in "wxyz"]
-    numbered = _matched(path, table.columns, _NUMBERED)
+    numbered = axis_columns(path, table.columns, _NUMBERED)
     if len(numbered) == 4:
         if order is None:
             labels = ", ".join(column.label for column in numbered.values())
@@ -144,7 +129,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     frame = table.find(_FRAME)
     if options.clock == "frame" and frame is None:
         raise table.missing('"frame"')
-    position = _matched(path, header, _POSITION)
+    position = axis_columns(path, header, _POSITION)
     if len(position) < 3:
         raise table.missing(", ".join(f'"{axis}"' for axis in "xyz" if axis not in position))
     quaternion = _quaternion_columns(table, options.quaternion_order)
@@ -152,7 +137,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     extra = {
         name: columns
         for name, (_, pattern) in _TRIPLES.items()
-        if len(columns := _matched(path, header, pattern)) == 3
+        if len(columns := axis_columns(path, header, pattern)) == 3
         and all(declared.unit_of(column, column.label) is not None for column in columns.values())
     }
     length_unit = None if options.length_unit is None else str(options.length_unit)

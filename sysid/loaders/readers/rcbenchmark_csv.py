@@ -22,7 +22,7 @@ from sysid.loaders.columns import Column, DeclaredUnits, NamedTable, declare_uni
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source, split_line
-from sysid.loaders.table import Numbers
+from sysid.loaders.table import Numbers, read_numbers
 from sysid.loaders.table_log import RawTable, table_format
 from sysid.recording import Channel, FloatArray
 
@@ -228,7 +228,11 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     # commas. A row that ends before it, or before the delimiter behind it, has lost cells somewhere.
     least = len(header) if words is None else words + 1 + min(table.head.trailing, 1)
     messages = [] if message is None else _messages(table, message)
-    numbers = table.read(wanted, least=least, surplus=True, free_text=words, again=True)
+    places = [column.index for column in wanted]
+    numbers = read_numbers(
+        table.text, table.head, places, least=least, surplus=True, free_text=words, again=True
+    )
+    del table.text  # the file's bytes are not needed any more
     time, points, ordered = _clock(table, numbers, clock, command, options)
     stems = {column.stem for column in header}
     series = " Series 1580/1585" if "accx" in stems else " Series 1780" if "esc" in stems else ""

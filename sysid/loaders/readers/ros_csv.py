@@ -9,7 +9,7 @@ quaternions x, y, z, w by the definition of the messages.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from sysid.errors import LogError
 from sysid.journal import Finding, note
 from sysid.loaders.capture_log import Body, RawCapture, body_name, capture_format, declared_length
 from sysid.loaders.clock import EXPORT_FINER, jitter_note, stamp_clock
-from sysid.loaders.columns import Column, NamedTable, listing, unread_note
+from sysid.loaders.columns import Column, NamedTable, axis_columns, listing, unread_note
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
 from sysid.loaders.source import Source
@@ -27,34 +27,17 @@ _ARRIVAL, _STAMP = "%time", "field header stamp"
 _SEQUENCE = "field header seq"
 # Shortest step of a topic of poses [ns]; smaller numbers are of another unit.
 _FEWEST_NANOSECONDS = 1000.0
-_POSITION = ("position", "translation")
-_TURN = ("orientation", "rotation")
+# Names of the columns of a pose; those of its covariance have numbers instead of axes.
+_POSE = {
+    "position": ("xyz", re.compile(r"^.* (?:position|translation) ([xyz])$")),
+    "orientation": ("wxyz", re.compile(r"^.* (?:orientation|rotation) ([wxyz])$")),
+}
 
 
 def _recognize(source: Source) -> int:
     header = find_header(source.head_lines)
     names = [name.strip() for name in header[2]] if header else []
     return CERTAIN if names[:1] == [_ARRIVAL] and any(name.startswith("field.") for name in names) else NO
-
-
-def _axes(path: str, columns: Sequence[Column], words: Sequence[str], axes: str) -> list[Column]:
-    axis_columns: dict[str, Column] = {}
-    for column in columns:
-        parts = column.stem.split()
-        if len(parts) > 2 and parts[-2] in words and parts[-1] in axes and "covariance" not in parts:
-            if parts[-1] in axis_columns:
-                raise LogError(
-                    f'{path}: columns "{axis_columns[parts[-1]].label}" and "{column.label}" are both '
-                    f"{words[0]} {parts[-1]}; record one pose per file"
-                )
-            axis_columns[parts[-1]] = column
-    if len(axis_columns) < len(axes):
-        raise LogError(
-            f"{path}: no columns {words[0]} {', '.join(axes)}; found "
-            f"{listing(column.label for column in columns)}; "
-            "echo a PoseStamped, TransformStamped or Odometry topic"
-        )
-    return [axis_columns[axis] for axis in axes]
 
 
 def _stamp_unit(path: str, numbers: Numbers, column: Column) -> tuple[float, list[Finding]]:
@@ -85,8 +68,17 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     scale = declared_length(path, options.length_unit)
     table = NamedTable(source, options, renames=False)
     columns = table.columns
-    place = _axes(path, columns, _POSITION, "xyz")
-    turn = _axes(path, columns, _TURN, "wxyz")
+    parts = []
+    for part, (axes, pattern) in _POSE.items():
+        matched = axis_columns(path, columns, pattern)
+        if len(matched) < len(axes):
+            raise LogError(
+                f"{path}: no columns {part} {', '.join(axes)}; found "
+                f"{listing(column.label for column in columns)}; "
+                "echo a PoseStamped, TransformStamped or Odometry topic"
+            )
+        parts.append([matched[axis] for axis in axes])
+    place, turn = parts
     clocks = {column.stem: column for column in columns if column.stem in (_ARRIVAL, _STAMP)}
     wanted = _ARRIVAL if clock == "arrival" or (clock == "frame" and _STAMP not in clocks) else _STAMP
     if wanted not in clocks:

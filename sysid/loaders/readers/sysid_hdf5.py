@@ -22,7 +22,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.hdf5 import Hdf5Log, attribute_value, is_hdf5, open_hdf5
+from sysid.loaders.hdf5 import attribute_value, is_hdf5, open_hdf5
 from sysid.loaders.readers.load_cell_hdf5 import LAYOUT_ATTRIBUTE
 from sysid.loaders.registry import CERTAIN, NO, LogFormat
 from sysid.loaders.source import Source
@@ -103,48 +103,46 @@ def _dataset(group: h5py.Group, name: str, values: FloatArray) -> h5py.Dataset:
     return group.create_dataset(name, data=values, **packed)
 
 
-def _note(stated: object) -> Finding:
-    """Return a note as it was written; files of older versions have its sentence alone."""
-    if isinstance(stated, dict):
-        return Finding(str(stated["code"]), str(stated["sentence"]), stated.get("severity", "note"))
-    return note("stated", str(stated))
-
-
 def _text(attributes: h5py.AttributeManager, key: str) -> str:
     return str(attribute_value(attributes.get(key, "")))
 
 
 def _read(source: Source) -> Recording:
     """Return the recording as it was written, with a note that names the original file."""
+    channels, clocks = {}, {}
     with open_hdf5(source, "convert the log again") as log:
-        return _recording(source, log)
-
-
-def _recording(source: Source, log: Hdf5Log) -> Recording:
-    path, attributes = source.path, log.file.attrs
-    if LAYOUT_ATTRIBUTE not in attributes:
-        raise LogError(
-            f"{path}: was not written by sysid (no attribute {LAYOUT_ATTRIBUTE}); check the format"
+        attributes = log.file.attrs
+        if LAYOUT_ATTRIBUTE not in attributes:
+            raise LogError(
+                f"{source.path}: was not written by sysid (no attribute {LAYOUT_ATTRIBUTE}); check the format"
+            )
+        version = int(attributes[LAYOUT_ATTRIBUTE])
+        if version > _VERSION:
+            raise LogError(
+                f"{source.path}: layout version {version}, this sysid reads {_VERSION}; update sysid"
+            )
+        items = {name: item for name, item in log.datasets.items() if name.startswith("/channels/")}
+        for where, item in sorted(items.items(), key=lambda entry: int(entry[1].attrs["index"])):
+            name, clock = _text(item.attrs, "name"), int(item.attrs["clock"])
+            if clock not in clocks:
+                clocks[clock] = log.numbers(f"/clocks/{clock}", log.datasets[f"/clocks/{clock}"])
+            channels[name] = Channel(name, _text(item.attrs, "unit"), clocks[clock], log.numbers(where, item))
+        kind, origin, origin_sha256, form, device, stated, options = (
+            _text(attributes, key)
+            for key in ("kind", "source", "source_sha256", "format", "device", "notes", "options")
         )
-    version = int(attributes[LAYOUT_ATTRIBUTE])
-    if version > _VERSION:
-        raise LogError(f"{path}: layout version {version}, this sysid reads {_VERSION}; update sysid")
-    items = {name: item for name, item in log.datasets.items() if name.startswith("/channels/")}
-    clocks: dict[int, FloatArray] = {}
-    channels = {}
-    for where, item in sorted(items.items(), key=lambda entry: int(entry[1].attrs["index"])):
-        name, clock = _text(item.attrs, "name"), int(item.attrs["clock"])
-        if clock not in clocks:
-            clocks[clock] = log.numbers(f"/clocks/{clock}", log.datasets[f"/clocks/{clock}"])
-        channels[name] = Channel(name, _text(item.attrs, "unit"), clocks[clock], log.numbers(where, item))
-    kind, origin, origin_sha256, form, device, stated, options = (
-        _text(attributes, key)
-        for key in ("kind", "source", "source_sha256", "format", "device", "notes", "options")
-    )
-    converted = note("converted", f"converted from {origin} (SHA-256 {origin_sha256})")
-    notes = (*map(_note, json.loads(stated or "[]")), converted, *log.notes)
-    given = {str(key): str(value) for key, value in json.loads(options or "{}").items()}
-    return Recording(kind, channels, Provenance(path, source.sha256, form, device, given, notes))
+        converted = note("converted", f"converted from {origin} (SHA-256 {origin_sha256})")
+        # Files of older versions have the sentence of a note alone.
+        notes = [
+            Finding(str(one["code"]), str(one["sentence"]), one.get("severity", "note"))
+            if isinstance(one, dict)
+            else note("stated", str(one))
+            for one in json.loads(stated or "[]")
+        ]
+        notes += [converted, *log.notes]
+        given = {str(key): str(value) for key, value in json.loads(options or "{}").items()}
+        provenance = Provenance(source.path, source.sha256, form, device, given, tuple(notes))
+        return Recording(kind, channels, provenance)
 
 
 FORMAT = LogFormat(_NAME, "HDF5 written by sysid convert", _recognize, _read, {})

@@ -322,31 +322,24 @@ def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
     hidden = sum(stall.doubtful is not None for stall in stalls)
     rests = _at_rest(known, "thrust"), _at_rest(known, "torque")
     report = BenchReport(levels, low, high, len(stalls), hidden, *rests, _largest(known, "speed"))
-    return report, list(_bench_suspicions(recording, known, report))
-
-
-def _bench_suspicions(
-    recording: Recording, known: Mapping[str, Channel], report: BenchReport
-) -> Iterator[Finding]:
+    found: list[Finding] = []
     if report.top_speed > _FASTEST:
         advice = unit_advice(recording, "speed", "rpm")
-        yield Finding(
-            "speed-unit",
-            f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm; {advice}",
-        )
+        sentence = f"speed reaches {report.top_speed:.4g} rad/s, faster than any such motor: probably rpm"
+        found.append(Finding("speed-unit", f"{sentence}; {advice}"))
     elif report.top_speed == 0.0:
-        yield Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark")
+        found.append(Finding("no-speed", "speed is zero throughout: the probe was off or saw no mark"))
     largest = _largest(known, "thrust")
     if largest > _STRONGEST:
         advice = unit_advice(recording, "thrust", "gf")
-        yield Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}")
+        found.append(Finding("thrust-unit", f"thrust reaches {largest:.4g} N: probably grams; {advice}"))
     if _largest(known, "torque") > _LARGEST_TORQUE:
         advice = unit_advice(recording, "torque", "mN*m")
-        yield Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}")
+        found.append(Finding("torque-unit", f"torque exceeds 100 N·m: probably mN·m; {advice}"))
     for name, rest, unit in (("thrust", report.rest_thrust, "N"), ("torque", report.rest_torque, "N·m")):
         if np.isfinite(rest) and abs(rest) > _TARE * np.ptp(known[name].values[known[name].valid]) > 0:
             sentence = f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it"
-            yield Finding("no-tare", sentence)
+            found.append(Finding("no-tare", sentence))
     if "speed" in known and "thrust" in known:
         speed, thrust = known["speed"], known["thrust"]
         turning: FloatArray = np.interp(
@@ -356,17 +349,15 @@ def _bench_suspicions(
         slow = thrust.values[thrust.valid & (turning < 0.2 * turning.max())]
         enough = fast.size >= 5 and slow.size >= 5
         if enough and np.median(fast) - np.median(slow) < -3.0 * np.std(slow):
-            yield Finding(
-                "thrust-falls",
-                "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller turns "
-                "in reverse",
-            )
+            sentence = "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller"
+            found.append(Finding("thrust-falls", f"{sentence} turns in reverse"))
     sides = ("force_x", "force_y")
     spread = {name: float(np.nanstd(known[name].values)) for name in ("thrust", *sides) if name in known}
     for name in sides:
         if spread.get(name, 0.0) > 2.0 * spread.get("thrust", np.inf) > 0.0:
             sentence = f"{name} changes more than thrust (Fz): the cell's axes may be swapped"
-            yield Finding("cell-axes-swapped", sentence)
+            found.append(Finding("cell-axes-swapped", sentence))
+    return report, found
 
 
 def _mend(recording: Recording, option: str) -> str:
