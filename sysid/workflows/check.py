@@ -32,9 +32,7 @@ def check_campaign(
 ) -> CheckDocument:
     """Judge a campaign before it is fitted.
 
-    `surface` overrides a gear campaign's friction law.
-
-    Raises `SysidError` when an input cannot be used.
+    `surface` overrides a gear campaign's friction law. Raises `SysidError` when an input cannot be used.
     """
     began = time.perf_counter()
     path = Path(path)

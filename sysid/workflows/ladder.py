@@ -36,10 +36,9 @@ def climb_and_print(
 ) -> None:
     """Add each declared term to a fit, find those to keep; store, print and draw what came of it.
 
-    `adopt` is a campaign file to write where terms are to be kept, which are then free parameters.
-
-    Raises `SysidError` for a kind without terms, too few fitted trials, a file that cannot be written, and,
-    after all is printed, for a campaign that cannot be edited.
+    `adopt` is a campaign file to write where terms are to be kept, which are then free parameters. Raises
+    `SysidError` for a kind without terms, too few fitted trials, a file that cannot be written, and, after
+    all is printed, for a campaign that cannot be edited.
     """
     if figure is not None:
         check_figure_name(figure)

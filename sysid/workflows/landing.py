@@ -30,9 +30,8 @@ LANDINGS = FileKind("sysid-landings", 1, "a file of landings", "simulate again",
 def simulate_landings(options: SimulateOptions) -> None:
     """Simulate one landing per set, write the landings, and print their outcomes and the files.
 
-    With a height the drone descends first, with the attitude controller on.
-
-    Raises `SysidError` when the sets, the controller or the place to write cannot be used.
+    With a height the drone descends first, with the attitude controller on. Raises `SysidError` when the
+    sets, the controller or the place to write cannot be used.
     """
     out, files = options.out, []
     if out is not None:

@@ -43,10 +43,8 @@ def chosen_controllers(
 ) -> tuple[Controller, ...]:
     """Return controllers by name, as `find_controller` reads them; a Python `file` may register more.
 
-    The first contact starts them, or with the trigger ``imu`` the drone's accelerometer.
-
-    Raises `CampaignError` when a name is unknown or repeated, or a step comes later than the `horizon`
-    [s].
+    The first contact starts them, or with the trigger ``imu`` the drone's accelerometer. Raises
+    `CampaignError` when a name is unknown or repeated, or a step comes later than the `horizon` [s].
     """
     if file is not None:
         load_controllers(file)

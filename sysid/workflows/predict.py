@@ -128,10 +128,8 @@ def _without_logs(fit: FitResult, problem: Problem, names: Collection[str]) -> l
 def predicted_fit(fit: FitResult, path: Path) -> FitResult:
     """Return the sets of a fit on the trials of a campaign whose logs are not in the fit.
 
-    Trials that the fit held back are in its report already.
-
-    Raises `SysidError` when the campaign has another kind, cannot be used, or has no other trials than
-    the fit.
+    Trials that the fit held back are in its report already. Raises `SysidError` when the campaign has another
+    kind, cannot be used, or has no other trials than the fit.
     """
     with Journal() as journal:
         kind, whole = open_under(fit, path)
@@ -162,7 +160,6 @@ def validate_fit(
     """Score a fit on the trials of a campaign that it was not fitted to, and store that in its folder.
 
     The campaign is any of the same kind; of the one that was fitted, the trials of use "validate" serve.
-
     Raises `SysidError` when nothing is left to validate with, or an input cannot be used; nothing has been
     written then.
     """

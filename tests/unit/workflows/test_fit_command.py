@@ -295,15 +295,3 @@ def test_an_option_of_the_search_is_declared_in_one_place():
     assert done.returncode == 0, done.stderr
     assert "--tournament NUMBER" in done.stdout
     assert "Rivals of a parent." in done.stdout
-
-
-def test_algorithm_finish_and_budget(campaign, run):
-    fit = ("fit-gear", campaign, *SMALL, "--algorithm", "de", "--finish", "none", "--max-evaluations", "80")
-    assert run(*fit)[0] == 0
-    runs = read_fit(Path("fits") / "synthetic-lf").runs
-    assert [[s.algorithm for s in r.stages] for r in runs] == [["de"], ["de"]]
-    # 80 candidates are 40 for each run: two generations of 16.
-    assert [r.evaluations for r in runs] == [32, 32]
-    assert {r.stop_reason for r in runs} == {"evaluations"}
-    text = (Path("fits") / "synthetic-lf" / "summary.txt").read_text(encoding="utf-8")
-    assert "runs, best first" in text
