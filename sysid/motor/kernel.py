@@ -74,9 +74,11 @@ AS_GIVEN, STEADY = 0, 1
 # per second and 300 to 450 ns each, so a candidate is cut before it takes 2 s. Equal shares need no clock and
 # no order.
 MAX_STEPS, CANDIDATE_STEPS = 400_000, 4_000_000
-# Number of steps that take as long as the search for the event that ends a step.
+# Duration of the search for the event that ends a step [steps]: the search counts toward `MAX_STEPS` and
+# `CANDIDATE_STEPS`.
 _EVENT = 6
-# Time scale that turns a speed scale into a torque scale for the absolute tolerance of the current [s].
+# Time of a spin-up [s]: inertia times the speed scale over this time is the torque scale, which sets the
+# absolute tolerance of the current.
 _SPIN_UP_TIME = 0.1
 # Current below which the dead-time voltage fades [A].
 _DEAD_CURRENT = 0.1

@@ -90,9 +90,12 @@ def test_forces_and_stuck_feet_respect_the_modes(slope_deg):
     )
 
 
-@pytest.mark.parametrize(("slope", "speed"), [(20, 0.7), (10, 0.5), (5, 0.8), (5, 0.7)])
-def test_switches_are_consistent(slope, speed):
-    trajectory = run(slope, speed, np.arange(0, 0.7, 1e-3))
+@pytest.mark.parametrize(
+    ("slope", "speed", "excess"),
+    [(20, 0.7, 0.0), (20, 0.7, 0.3), (10, 0.5, 0.0), (5, 0.8, 0.0), (5, 0.7, 0.0)],
+)
+def test_switches_are_consistent(slope, speed, excess):
+    trajectory = run(slope, speed, np.arange(0, 0.7, 1e-3), front_friction_excess=excess)
     assert len(trajectory.switches) >= 4
     held = [False, False]
     failed_to_stick = 0
@@ -100,9 +103,10 @@ def test_switches_are_consistent(slope, speed):
     kept = 0
     loaded = [0, 0]
     # The same drop sampled at the switches themselves: its normal forces say which coefficient was meant.
-    sampled = run(slope, speed, np.concatenate([[0.0], np.unique(instants)]))
-    mu_k = P["kinetic_friction"]
-    mu_s = mu_k + P["static_friction_excess"]
+    sampled = run(slope, speed, np.concatenate([[0.0], np.unique(instants)]), front_friction_excess=excess)
+    # Coefficients of the rear and of the front foot.
+    mu_k = P["kinetic_friction"] * np.array([1.0, 1.0 + excess])
+    mu_s = mu_k + P["static_friction_excess"] * np.array([1.0, 1.0 + excess])
     for time, foot, sticks, *forces in trajectory.switches:
         available, required = np.array(forces[:2]), np.abs(forces[2:])
         foot, other = int(foot), 1 - int(foot)
@@ -119,7 +123,7 @@ def test_switches_are_consistent(slope, speed):
             normal = sampled.normal_force[np.searchsorted(sampled.time, time)]
             # The foot itself is judged by the mode that it has just lost: mu_k where a slip came to zero,
             # whatever follows, and mu_s where it is released.
-            mu = mu_s if before else mu_k
+            mu = (mu_s if before else mu_k)[foot]
             assert available[foot] == pytest.approx(mu * normal[foot], rel=0.03, abs=0.05)
             # A release that nothing else brought about is where the required force crosses the cone, not
             # somewhere beyond it; what it gains within 1e-7 s is as above.
@@ -128,7 +132,7 @@ def test_switches_are_consistent(slope, speed):
             loaded[before] += normal[foot] > 5.0
             # A foot that keeps its mode is judged by that mode's coefficient; the two differ by 9 %, sampling
             # between two steps of the integrator costs up to 2 %.
-            mu = mu_s if held[other] else mu_k
+            mu = (mu_s if held[other] else mu_k)[other]
             assert available[other] == pytest.approx(mu * normal[other], rel=0.03, abs=0.05)
             kept += held[other] and normal[other] > 5.0
     assert kept > 0

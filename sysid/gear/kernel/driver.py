@@ -67,8 +67,9 @@ REAR, FRONT, BODY = range(3)
 FLIP_AT, REST_AT = 2, 3
 # Row of `states` behind the states at the two touchdowns.
 AT_END = 2
-# Error weights of the rates (s, w, phi, h_C, theta_C, h_D, theta_D): 1 / scale, scales 1 m/s and 10 rad/s for
-# the legs; a light leg may err 30 times more than the body, whose motion is what is measured.
+# Weights of the errors of the rates (s, w, phi, h_C, theta_C, h_D, theta_D) [s/m for s, w, h; s/rad for
+# angles]: 1 / (1 m/s) and 1 / (10 rad/s) for the light legs. Errors of the body weigh 30 times (s, w) and 60
+# times (phi) as much, because the body's motion is measured.
 WEIGHTS = np.array([30.0, 30.0, 6.0, 1.0, 0.1, 1.0, 0.1])
 
 # Length of the first step of a drop, and of the first one after a foot has switched its mode [s].

@@ -1,4 +1,4 @@
-"""One lane's job: loading its start, its thrust, and what is read from a step that it has taken."""
+"""Work on one lane (one simulation's place in the buffer): loading start and thrust, reading a step."""
 
 import numpy as np
 from numba import njit
@@ -17,7 +17,8 @@ from sysid.gear.kernel.parameter_row import (
 from sysid.gear.kernel.stage import coefficients_at
 from sysid.integrate.tableau import STAGES
 
-# Quantities whose zero `locate` finds: penetration of a foot, turn beyond the flip, excess of motion.
+# Quantities whose zero `locate` finds: penetration of the rear and of the front foot [m], angle between body
+# and slope beyond the flip angle [rad], and speed or turn rate over its limit at rest, less 1 [1].
 REAR_FOOT, FRONT_FOOT, TURN, MOTION = range(4)
 
 
@@ -32,7 +33,7 @@ def _feet(coordinates, rates, work, lane, lanes):
 
 @njit(error_model="numpy")
 def _seven(work, row, lane, lanes):
-    """Seven rows of a lane."""
+    """Seven rows of a lane from `row` on: coordinates or their rates."""
     p = row * lanes + lane
     n = lanes
     return (
@@ -86,6 +87,7 @@ def begin(parameters, slope, body, legs, work, lane, lanes):
     # Direction of slip: the direction of the motion of a foot that touches, +1 in the air.
     work[at.WAY * lanes + lane] = -1.0 if p_c > 0.0 and v_c < 0.0 else 1.0
     work[(at.WAY + 1) * lanes + lane] = -1.0 if p_d > 0.0 and v_d < 0.0 else 1.0
+    # Margin of a foot that has just switched: see `_NEVER` in `sysid.gear.surfaces.high_friction`.
     for foot in range(2):
         work[(at.MARGIN + foot) * lanes + lane] = -1e30
     work[at.SEGMENT_END * lanes + lane] = np.inf
@@ -94,7 +96,7 @@ def begin(parameters, slope, body, legs, work, lane, lanes):
 
 @njit(error_model="numpy")
 def load(number, parameters, slope, body, legs, segments, plans, segment, origin, work, lane, lanes):
-    """Load the start of a job (candidate * drops + drop) and the thrust of its drop into a lane."""
+    """Load the start of job number candidate * drops + drop, and the thrust of that drop, into a lane."""
     candidate = number // len(slope)
     drop = number % len(slope)
     start = body[candidate if len(body) > 1 else 0, drop]
@@ -109,7 +111,7 @@ def load(number, parameters, slope, body, legs, segments, plans, segment, origin
 
 @njit(error_model="numpy")
 def assign(number, lane, job, cursor, clock, offset, cost, work):
-    """Give a lane the job whose start it holds."""
+    """Assign a job to the lane into which `load` has put the job's start."""
     lanes = len(job)
     drop = number % (len(offset) - 1)
     job[lane] = number
@@ -120,7 +122,7 @@ def assign(number, lane, job, cursor, clock, offset, cost, work):
 
 @njit(error_model="numpy")
 def idle(lane, job, work):
-    """Let a lane crawl from the start it holds: its numbers stay ordinary and nobody reads them."""
+    """Let a lane without a job take tiny steps from its start: its numbers stay finite and are not used."""
     lanes = len(job)
     job[lane] = -1
     work[at.NEXT * lanes + lane] = np.inf
@@ -130,7 +132,7 @@ def idle(lane, job, work):
 
 @njit(error_model="numpy")
 def thrust_segment(segments, number, origin, until, thrust_dx, work, lane, lanes):
-    """Load a segment of a thrust history whose clock starts at lane time `origin`; it ends at `until`."""
+    """Load a segment, which ends at lane time `until`, of a thrust history begun at lane time `origin`."""
     coefficients = coefficients_at(work, at.COEFFICIENTS * lanes + lane, lanes)
     for i in range(4):
         rear = segments[number, at.SEGMENT_REAR + i]
@@ -143,7 +145,10 @@ def thrust_segment(segments, number, origin, until, thrust_dx, work, lane, lanes
 
 @njit(error_model="numpy")
 def hold_rest(settled, origin, work, lane, lanes):
-    """Count no rest until a history whose clock starts at `origin` shows `settled`, if not negative."""
+    """Count a drop as moving until `settled` [s] on the clock of a history begun at lane time `origin`.
+
+    A negative `settled` lets the drop come to rest at any time.
+    """
     work[at.HOLD * lanes + lane] = origin + settled if settled >= 0.0 else 0.0
 
 
@@ -167,9 +172,10 @@ def interpolated(work, lane, lanes, share, i):
 
 @njit(error_model="numpy")
 def sample(work, lane, lanes, share, row):
-    """Write the state at `share` (0..1) of the step of one lane into `row`, in frame N.
+    """Write the state at `share` (0..1) of a lane's step into `row`, in frame N of `sysid.gear.model` [SI].
 
-    6 columns: the body; 16: all coordinates, their rates, and friction on the feet, linear over the step.
+    6 columns: x, z and pitch of the body and their rates. 16 columns: x, z, pitch, h_C, q_C, h_D, q_D, their
+    rates, and the friction on the rear and front foot [N], which is interpolated linearly over the step.
     """
     columns = len(row)
     c = work[at.COS_SLOPE * lanes + lane]
@@ -220,7 +226,10 @@ def _gap(work, lane, lanes, share, kind, ending):
 
 @njit(error_model="numpy")
 def locate(work, lane, lanes, kind, ending):
-    """Share of the lane's step at which the gap of a kind changes its sign (regula falsi, Illinois)."""
+    """Share of the lane's step at which the quantity `kind` changes its sign (regula falsi, Illinois).
+
+    Without a change of sign: the end of the step (0 or 1) at which the quantity is nearer to zero.
+    """
     low, high = 0.0, 1.0
     at_low = _gap(work, lane, lanes, low, kind, ending)
     at_high = _gap(work, lane, lanes, high, kind, ending)
@@ -245,7 +254,7 @@ def locate(work, lane, lanes, kind, ending):
 
 @njit(error_model="numpy")
 def available(work, lane, lanes, foot):
-    """Friction by which a foot's mode is judged at the step's end (9) [N].
+    """Largest friction of a foot in its mode at the step's end, equation (9) of the paper [N].
 
     The mode is the one that the foot has or has just lost: a foot whose slip has come to zero is judged by
     mu_k, whether it sticks then or slips back; a foot that is released is judged by mu_s.
@@ -255,4 +264,5 @@ def available(work, lane, lanes, foot):
     sticks = lost - 1.0 if lost > 0.0 else sticks
     mu = work[at.LAW * lanes + lane]
     mu = mu + work[(at.LAW + 1) * lanes + lane] if sticks > 0.0 else mu
+    mu = mu * (1.0 + work[(at.LAW + 2) * lanes + lane]) if foot == 1 else mu
     return mu * work[(at.NORMAL + foot) * lanes + lane]

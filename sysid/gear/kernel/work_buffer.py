@@ -26,7 +26,8 @@ COEFFICIENTS = _rows(len(Coefficients._fields))  # in the order of their fields
 LENGTH = COEFFICIENTS + Coefficients._fields.index("length")  # leg at rest [m]
 GROUND_SPRING = _rows()  # k_s
 GROUND_DAMPER = _rows()  # b_s
-LAW = _rows(LAW_SLOTS)  # what the friction law reads; first mu_k, then mu_s - mu_k where the law has it
+# Numbers that the friction law reads. A law with modes reads mu_k, mu_s - mu_k, the front foot's excess.
+LAW = _rows(LAW_SLOTS)
 SLOPE = _rows()  # angle of the surface [rad]
 COS_SLOPE = _rows()
 SIN_SLOPE = _rows()

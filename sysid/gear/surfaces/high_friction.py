@@ -1,21 +1,23 @@
-"""High friction (9, 10, Fig. 5): each foot slips or sticks; four modes, switched by events between steps.
+"""High friction, equations (9, 10) and Fig. 5 of the paper: each foot sticks or slips.
 
-Within a step the modes and the directions of slip are fixed: the motion is smooth but for the contact's
-kinks. Slipping: ``F_t = -mu_k F_n d`` with the foot's direction of slip ``d``. Sticking: ``F_t`` is the
-multiplier that keeps the foot's tangential acceleration at ``-_SETTLE v_t`` (zero, but for the residue of
-the switch).
+Within a step the modes and the directions of slip are fixed: the motion is smooth, except where a normal
+force begins or ends. Slipping: ``F_t = -mu_k F_n d`` with the foot's direction of slip ``d``. Sticking:
+``F_t`` is the force that keeps the foot's tangential acceleration at ``-_SETTLE v_t``, where ``v_t`` is the
+small slip speed that was left when the foot stuck.
 
-Slip ends where the speed along ``d`` falls through zero: the foot sticks if ``mu_k F_n > |f_req|``, the
-multiplier that sticking would need with the other foot in its mode, and slips back otherwise. This is the
-limit ``e_v -> 0`` of the paper's test ``|v_t| < e_v``, whose ``e_v`` is not printed: the crossing is located,
-so no speed below which a foot may stick has to be chosen. Sticking ends where ``mu_s F_n`` falls below
-``|f_req|``; the foot then slips against that force. A foot in the air slips with ``F_n = 0``.
+Slip ends where the speed along ``d`` falls through zero. The foot then sticks if ``mu_k F_n > |f_req|`` and
+slips back otherwise; ``f_req`` is the force that this foot would need to stick while the other foot stays in
+its own mode. On the front foot mu_k and mu_s are multiplied by 1 + `front_friction_excess`. This is the limit
+``e_v -> 0`` of the paper's test ``|v_t| < e_v``, whose ``e_v`` is not printed: the crossing is located, so no
+speed below which a foot may stick has to be chosen. Sticking ends where ``mu_s F_n`` falls below ``|f_req|``;
+the foot then slips against that force. A foot in the air slips with ``F_n = 0``.
 
-A loss of a mode shows at the step's end, or, where it heals before that, at one of the step's inner stages:
-such a step is repeated to end there. A loss between two stages is missed. At the fit's setting these are 4 of
-the 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s and 4 of 25 at 8 deg and 0.3 m/s, none in ten other
-drops (8 to 22 switches each). At a tolerance of 3e-4 still 4 of the 20 are missed, at 1e-4 two, and at 3e-5,
-which a single drop with logged switches uses, none in all twelve drops.
+A step at whose end a foot has lost its mode is repeated with an end just behind the loss. So is a step at
+whose end the foot is back in its mode, if the foot was out of that mode at one of the step's inner stages. A
+loss and a return between two neighbouring stages are missed. At the fit's tolerance of 1e-3 the simulation
+misses 4 of 20 switches in 0.5 s of a drop at 5 deg and 0.5 m/s, 4 of 25 at 8 deg and 0.3 m/s, and none in ten
+other drops (8 to 22 switches each). In the first of these drops it still misses 4 at a tolerance of 3e-4 and
+2 at 1e-4. At 3e-5, the tolerance of a single drop with logged switches, it misses none in all twelve drops.
 """
 
 from numba import njit
@@ -28,11 +30,14 @@ from sysid.integrate.tableau import STAGES, C
 
 # Decay rate of a stuck foot's residual slip [1/s].
 _SETTLE = 200.0
-# Longest time from an event to the end of the step that hits it [s].
+# Longest time by which a step may end behind an event for modes to switch at that end [s].
 _LATE = 1e-7
+# Margin of a foot that has just switched its mode [N or m/s]: below every real margin, so a foot that has
+# just begun to slip cannot lose its slip within the next step.
 _NEVER = -1e30
-# Shortest step that is cut for what its inner stages saw [s], and the least share of it that is left [1].
+# Longest step that is not cut for a loss at an inner stage [s].
 _INNER_STEP = 1e-6
+# Least share of a step that a cut for a loss at an inner stage leaves [1].
 _INNER_SHARE = 0.1
 
 
@@ -70,15 +75,17 @@ def high_friction(free, response, forces, slips, stuck_c, stuck_d, way_c, way_d,
     Parameters
     ----------
     free : tuple of 2 float
-        Tangential accelerations of the feet without friction.
+        Tangential accelerations of the feet without friction [m/s²].
     response : tuple of 3 float
         Their response to friction: rear to rear, rear to front (and back), front to front [1/kg].
     forces, slips : tuple of 2 float
-        Normal forces, the front one times its excess of friction, and slip speeds.
+        Normal forces [N], the front one times 1 + `front_friction_excess`, and slip speeds [m/s].
     stuck_c, stuck_d : float
         1 for a sticking foot, 0 for a slipping one.
     way_c, way_d : float
         Directions of slip, +1 or -1.
+    mu_k : float
+        Kinetic friction coefficient of the rear foot [1].
     """
     g_cc, g_cd, g_dd = response
     need_c = -free[0] - _SETTLE * slips[0]
@@ -105,10 +112,10 @@ def high_friction(free, response, forces, slips, stuck_c, stuck_d, way_c, way_d,
 @njit(error_model="numpy", forceinline=True)
 @fused
 def event(stuck, way, normal, slip, required, margin, mu_s):
-    """Margin of a foot's mode at a step's end, whether it was lost within the step, and at which share of it.
+    """Margin of a foot's mode at a step's end, 1 if the mode was lost within the step, and the loss's share.
 
-    `margin` is the margin at the step's start: static friction left over (sticking) [N] or the speed along
-    the direction of slip (slipping) [m/s].
+    `margin` is the margin at the step's start: static friction left over (sticking) [N] or speed along the
+    direction of slip (slipping) [m/s]; `_NEVER` right after a switch.
     """
     force = required if required > 0.0 else -required
     now = slip * way if normal > 0.0 else 1.0
@@ -123,9 +130,11 @@ def event(stuck, way, normal, slip, required, margin, mu_s):
 @njit(error_model="numpy", forceinline=True)
 @fused
 def inner_share(work, foot, lane, lanes, h, stuck, way, margin, mu_s):
-    """Share of the step after which an inner stage saw a foot out of its mode, 1 where none did.
+    """Share of the step at which an inner stage places a foot's loss of its mode, at least `_INNER_SHARE`.
 
-    Stages are states of low order: what they see only shortens the step, its end decides.
+    1 where the foot keeps its mode at every stage, and for steps of at most `_INNER_STEP`. The state at a
+    stage is less accurate than the state at the step's end, so a stage only shortens the step; the end alone
+    decides on a switch.
     """
     share = 1.0
     start = margin if margin > 0.0 else 0.0
@@ -147,7 +156,7 @@ def inner_share(work, foot, lane, lanes, h, stuck, way, margin, mu_s):
 @njit(error_model="numpy", forceinline=True)
 @fused
 def settle(first, second, h, taken, new_h):
-    """Decide on a step with events: taken or not, next step, and whether the modes switch at its end.
+    """Decide after every step whether it is taken, how long the next is, and whether modes switch at its end.
 
     A step that ends more than `_LATE` after an event is repeated to end just behind it.
     """
@@ -187,7 +196,7 @@ def next_mode(switch, stuck, way, normal, slip, required, margin, now, taken, mu
 def solve(joints, angles, rates, loads, normals, slips, modes, law, coefficients):
     """Accelerations, friction and required friction with every foot in its mode.
 
-    The motion is linear in the friction forces: with its derivatives the multipliers are exact.
+    Accelerations are linear in the friction forces: one linear system gives the forces of the stuck feet.
     """
     _, h_c, _, h_d, _ = angles
     l = coefficients.length  # noqa: E741
@@ -217,7 +226,10 @@ def solve(joints, angles, rates, loads, normals, slips, modes, law, coefficients
 @njit(error_model="numpy", forceinline=True)
 @fused
 def after_step(work, lane, lanes, h, taken, new_h):
-    """Cut a step at the first loss of a foot's mode and switch modes there; returns taken and next step."""
+    """Repeat a step that passes a foot's first loss of its mode, or switch the modes lost at its end.
+
+    Returns whether the step is taken (1 or 0) and the length of the next step [s].
+    """
     mu_k = work[at.LAW * lanes + lane]
     mu_s = mu_k + work[(at.LAW + 1) * lanes + lane]
     unlike = 1.0 + work[(at.LAW + 2) * lanes + lane]
@@ -279,12 +291,13 @@ SURFACE = Surface(
         "static_friction_excess": 0.08,
     },
     bounds={"kinetic_friction": (0.5, 1.2)},
-    # Up to the third contact of such drops its error is at most 0.01 % NRMSE where 0.3 % is allowed: the
-    # noise that it brings to the cost is the limit. It moves the fitted k_s by 0.6 % (at most 1 %), m_leg
-    # and all others but b_s and mu_s - mu_k by less than 0.5 %.
+    # Error of the tests' six drops at this tolerance up to the third touchdown: at most 0.01 % NRMSE, where a
+    # fit may carry 0.3 %. A larger tolerance would make the cost too noisy: at this one the fitted k_s moves
+    # by 0.6 % (at most 1 %), every other parameter except b_s and mu_s - mu_k by less than 0.5 %.
     tolerance=1e-3,
-    # 4.9 times what the paper's gear takes on average over six drops, 3.3 times what random points within the
-    # bounds take; 0.5 % of the drops there need more: bounces and switches without end.
+    # Right-hand sides per second of a drop: 4.9 times the average of six drops of the paper's gear, 3.3 times
+    # the average of drops at random points within the bounds. 0.5 % of the drops at random points need more:
+    # their bounces and switches do not end.
     budget=3.3e4,
     source="Table II, high friction, mean of five fits",
 )

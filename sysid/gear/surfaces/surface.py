@@ -36,7 +36,7 @@ class Surface:
     reads : tuple of str
         Rows of the gear's table that the law reads, at most `LAW_SLOTS`, in the order in which its functions
         receive them as the tuple ``law``. The first is the kinetic friction coefficient, the second the
-        static one's excess where the law has one.
+        static one's excess where the law has one; a law with modes reads the front foot's excess third.
     free : tuple of str
         Parameters that a fit searches by default.
     solve : compiled function
