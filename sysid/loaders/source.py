@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 import csv
 import hashlib
+import io
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,8 +32,8 @@ _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _SEPARATOR = re.compile(rb'\A[ ]*"?sep=[^\r\n"]?"?[,;\t ]*(?=[\r\n])', re.IGNORECASE)
 # Most characters of a sentence about a log. A longer one keeps its end, which says what to do.
 _LONGEST = 1200
-# Length of the longest line [B]: a header of ten thousand columns is shorter.
-_LINE = 1 << 20
+# Bytes that are decoded at once, and bytes of the longest line: a header of ten thousand columns is shorter.
+_PIECE, _LINE = 1 << 20, 1 << 20
 
 
 class Source:
@@ -175,17 +176,19 @@ def _as_utf8(data: bytes, path: str, *, whole: bool = True) -> tuple[bytes, list
         marked = data[:2] in _UTF16_MARKS
         if marked:
             notes.append(note("read-as-utf-16", "read as UTF-16, as its byte-order mark says"))
+        decoder, out = codecs.getincrementaldecoder("utf-16" if marked else "utf-8-sig")(), io.BytesIO()
         try:
-            text = codecs.getincrementaldecoder("utf-16" if marked else "utf-8-sig")().decode(data, whole)
-        except UnicodeDecodeError as error:
+            for end in range(_PIECE, len(data) + _PIECE, _PIECE):
+                piece = decoder.decode(data[end - _PIECE : end], whole and end >= len(data))
+                out.write(piece.encode("utf-8"))
+            data = out.getvalue()
+        except UnicodeError as error:  # a half of a surrogate pair is refused by the encoder
             if marked:
                 raise LogError(
-                    f"{path}: marked as UTF-16 but broken at byte {error.start}; save it as UTF-8"
+                    f"{path}: marked as UTF-16 but broken behind {out.tell()} bytes of text; save it as UTF-8"
                 ) from error
-            text = data.decode("cp1252", errors="replace")
+            data = data.decode("cp1252", errors="replace").encode("utf-8")
             notes.append(note("read-as-windows-1252", "not UTF-8: read as Windows-1252"))
-        del data  # its memory is free before the text is there twice
-        data = text.encode("utf-8")
     data = _SEPARATOR.sub(b"", data)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n")
