@@ -44,23 +44,12 @@ def _locked(values: object) -> FloatArray:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Channel:
-    """One quantity over time.
+    """One quantity over time."""
 
-    Parameters
-    ----------
-    name, unit : str
-        ``speed``, ``thrust``, ``F450/position``; SI, but a command keeps the unit of its protocol (``us`` or
-        ``dshot``).
-    time : (n,) array
-        Sample times on the file's own clock [s], strictly increasing.
-    values : (n,) or (n, k) array
-        Samples; NaN where the instrument delivered none.
-    """
-
-    name: str
-    unit: str
-    time: FloatArray
-    values: FloatArray
+    name: str  # such as ``speed``, ``thrust``, ``F450/position``
+    unit: str  # SI, but a command keeps the unit of its protocol, ``us`` or ``dshot``
+    time: FloatArray  # (n,) strictly increasing, on the file's own clock [s]
+    values: FloatArray  # (n,) or (n, k); NaN where the instrument delivered none
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", _locked(self.time))
@@ -87,28 +76,15 @@ class Channel:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a recording comes from.
+    """Where a recording comes from."""
 
-    Parameters
-    ----------
-    path, sha256 : str
-        The file as it was named; hash of its bytes.
-    format : str
-        Name of the loader that read it, e.g. ``motive-csv``.
-    device : str
-        Instrument and version as the file states them, or empty.
-    options : mapping
-        Loader options that changed the numbers (rate, quaternion order, units), as text.
-    notes : tuple of Finding
-        What the loader noticed and did: rows dropped, signs flipped.
-    """
-
-    path: str
-    sha256: str
-    format: str
-    device: str = ""
+    path: str  # the file as it was named
+    sha256: str  # hash of its bytes
+    format: str  # loader that read it, e.g. ``motive-csv``
+    device: str = ""  # instrument and version as the file states them, or empty
+    # Loader options that changed the numbers (rate, quaternion order, units), as text.
     options: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[Finding, ...] = ()
+    notes: tuple[Finding, ...] = ()  # findings of the loader and its acts: rows dropped, signs flipped
 
     @property
     def sentences(self) -> list[str]:

@@ -140,8 +140,6 @@ def to_mjcf(
 def foot_inverse_mass(values: Mapping[str, float], per_leg: bool = False) -> FloatArray:
     """Return the inverse mass (n_legs,) [1/kg] that MuJoCo assumes at each leg: its ``body_invweight0``.
 
-    Notes
-    -----
     A third of the trace of ``J M⁻¹ Jᵀ`` in the rest pose, J being the Jacobian of the leg's centre of mass;
     in the planar model the direction y contributes nothing.
     """

@@ -103,12 +103,8 @@ def fused(function: Callable[..., object]) -> types.FunctionType:
     """Return a function, to be compiled, with every product that is added to something fused into the sum.
 
     A sum of two products is left: with one of them rounded and the other not, what the rear and the front leg
-    of a level drone do would no longer cancel. In a difference of two products the second is fused.
-
-    Parameters
-    ----------
-    function : callable
-        Of a file, without a closure. In Python it would be slow and is not meant to be called.
+    of a level drone do would no longer cancel. In a difference of two products the second is fused. The
+    function stands in a file and has no closure; called from Python the result would be slow.
     """
     lines, first = inspect.getsourcelines(function)
     tree = ast.parse(textwrap.dedent("".join(lines)))

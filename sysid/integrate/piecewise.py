@@ -72,14 +72,9 @@ def refined(
 ) -> PiecewiseCubic:
     """Return cubic pieces that follow a function, halved until the middle of each agrees.
 
-    Parameters
-    ----------
-    sample : callable
-        Increasing times (n,) [s] to values and slopes, (n,) each.
-    knots : (n,) array
-        Where pieces must end: instants at which the function is not smooth, first and last time.
-    tolerance : float
-        Largest error in the middle of a piece [unit of the value].
+    `sample` returns values and slopes, (n,) each, at increasing times (n,) [s]. Pieces end at the `knots`
+    (n,) [s]: first and last time, and instants at which the function is not smooth. `tolerance` is the
+    largest error in the middle of a piece [unit of the value].
     """
     time = np.unique(np.asarray(knots, dtype=np.float64))
     while True:

@@ -35,8 +35,6 @@ def fly_down(drone: Drone, begin: Scenario, height: float) -> Descent:
     is the way down of the body from there to its touchdown at that pitch [m]. Raises `CampaignError` when
     height or speed is not above 0, or the drone turns over or rises before it touches.
 
-    Notes
-    -----
     The legs are rigid and their mass counts with the body's. The total thrust is the hovering one, so a level
     drone keeps its speed. Equations (1, 3) of both motor pairs are integrated with the flight (scipy, LSODA).
     """

@@ -37,8 +37,6 @@ STANDARD_GRAVITY = 9.80665
 class Sensing:
     """An accelerometer at the body's centre of mass that looks for an impact.
 
-    Notes
-    -----
     The filter's delay (about 11 ms at 30 Hz) is part of the reaction time. A gentle touchdown may stay below
     the threshold: then nothing triggers, as on the real drone. Until then the motors keep the hover command.
     Without attitude control that says nothing after some tenths of a second, hence the window.

@@ -50,8 +50,6 @@ LONGEST_HORIZON = 100.0
 class Rules:
     """When a landing is over, and what it is called.
 
-    Notes
-    -----
     On low friction a drone at rest creeps, at 0.016 m/s on 15 deg and 0.11 m/s on 22 deg (the friction law
     has no stiction), hence a `rest_speed` well above numerical noise. A drone rests only after the
     controller's last command. The distances are the paper's board and its 1 m.

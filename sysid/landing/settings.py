@@ -112,8 +112,6 @@ class ImpulseSettings:
     second impact is looked for until the `horizon` after the first [s], or as long as landings are simulated.
     The optimum is refined to the step `finest` [s]; 0 keeps the grid's.
 
-    Notes
-    -----
     An impulse that takes away less than `worth` of the turn rate is omitted, and all motors reverse at once.
     Low and fast the second impact comes within some 30 ms, and the impulse takes a few per cent away; the
     paper omits it there. A `worth` of 0 takes the smallest turn rate whatever the gain.

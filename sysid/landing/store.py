@@ -78,25 +78,23 @@ def read_maps(path: Path) -> MapFile:
     """Return the content of a file of maps; raises `ExportError` for anything else."""
     with MAPS.opened(path) as file:
         settings, provenance = (get_json(file, f"{name}_json") for name in ("settings", "provenance"))
-        maps = tuple(map(_landings, numbered(file, "maps")))
+        maps = []
+        for group in numbered(file, "maps"):
+            outcome, distance, time = (group[name][()] for name in ("outcome", "distance", "time"))
+            checked = bool(group.attrs["checked"])
+            uncertain = group["uncertain"][()] if checked else outcome < 0
+            arrays = (outcome, distance, time, uncertain)
+            maps.append(LandingMap(*_head(group), *arrays, checked=checked, law=str(group.attrs["law"])))
         impulses = tuple(
             ImpulseMap(*_head(group), {name: group[name][()] for name in UNITS})
             for group in numbered(file, "impulses")
         )
-        return MapFile(maps, impulses, settings, provenance)
+        return MapFile(tuple(maps), impulses, settings, provenance)
 
 
 def _head(group: h5py.Group) -> tuple[str, str, tuple[str, ...], FloatArray, FloatArray]:
     surface, controller = str(group.attrs["surface"]), str(group.attrs["controller"])
     return surface, controller, tuple(get_texts(group, "sets")), group["slope"][()], group["speed"][()]
-
-
-def _landings(group: h5py.Group) -> LandingMap:
-    outcome, distance, time = (group[name][()] for name in ("outcome", "distance", "time"))
-    checked = bool(group.attrs["checked"])
-    uncertain = group["uncertain"][()] if checked else outcome < 0
-    more = {"checked": checked, "law": str(group.attrs["law"])}
-    return LandingMap(*_head(group), outcome, distance, time, uncertain, **more)  # type: ignore[arg-type]
 
 
 def write_study(path: Path, study: DesignStudy, provenance: Mapping[str, object]) -> Path:

@@ -29,34 +29,20 @@ class CellAxis:
 
 @dataclass(frozen=True, eq=False)
 class CellChart:
-    """Landings over two axes, and how to simulate each.
-
-    Parameters
-    ----------
-    rows : tuple of str
-        What lands in every cell: R sets, or one row for all.
-    outcome, distance, time : (R, n, m) arrays
-        `Outcome` codes, displacement [m] and time to rest [s], NaN where nothing came to rest.
-    command : tuple
-        Texts, and numbers for what each cell replaces: 0 the value across, 1 the value up, 2 and on the
-        `texts` of the cells, (n, m) arrays of text.
-    doubt : (n, m) bool array, optional
-        Whether half the tolerance changes a class.
-    share : (n, m) array, optional
-        Share of the landings that come to rest within the long distance [1].
-    """
+    """Landings over two axes, and how to simulate each; NaN where nothing came to rest."""
 
     title: str
     across: CellAxis
     up: CellAxis
-    rows: tuple[str, ...]
-    outcome: NDArray[np.int8]
-    distance: FloatArray
-    time: FloatArray
+    rows: tuple[str, ...]  # landings in every cell: R sets, or one row for all
+    outcome: NDArray[np.int8]  # (R, n, m) `Outcome` codes
+    distance: FloatArray  # (R, n, m) displacement [m]
+    time: FloatArray  # (R, n, m) time to rest [s]
+    # Texts, and numbers of the parts that each cell replaces: 0 the value across, 1 up, 2 and on `texts`.
     command: tuple[str | int, ...]
-    texts: tuple[NDArray[Any], ...] = ()
-    doubt: BoolArray | None = None
-    share: FloatArray | None = None
+    texts: tuple[NDArray[Any], ...] = ()  # (n, m) each
+    doubt: BoolArray | None = None  # (n, m) half the tolerance changes a class
+    share: FloatArray | None = None  # (n, m) landings that come to rest within the long distance [1]
 
     def document(self) -> dict[str, object]:
         """Return what the page's script draws: thousandths as whole numbers, cells row by row."""

@@ -50,34 +50,20 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class DropReplay:
-    """One drop with everything that can be drawn; frame N, the surface passes through the origin.
-
-    Parameters
-    ----------
-    slope, time, values
-        [rad]; (n,) since the window's start [s]; the simulated set by name [SI].
-    body, measured : (n, 3) array
-        x_B, z_B [m] and pitch [rad]; as measured linear between frames, NaN where lost.
-    feet : (n, 2, 2) array
-        Rear and front, (x, z) [m].
-    normal_force, friction_force, slip_speed : (n, 2) array
-        Along the surface's normal or down-slope, rear and front foot [N, m/s].
-    contacts : tuple of Contact
-        In the order of time.
-    """
+    """One drop with everything that can be drawn; frame N, the surface passes through the origin."""
 
     name: str
     use: str
-    slope: float
-    time: FloatArray
-    body: FloatArray
-    feet: FloatArray
-    normal_force: FloatArray
-    friction_force: FloatArray
-    measured: FloatArray
-    contacts: tuple[Contact, ...]
-    values: dict[str, float]
-    slip_speed: FloatArray
+    slope: float  # [rad]
+    time: FloatArray  # (n,) since the window's start [s]
+    body: FloatArray  # (n, 3) x_B, z_B [m] and pitch [rad]
+    feet: FloatArray  # (n, 2, 2) rear and front foot, (x, z) [m]
+    normal_force: FloatArray  # (n, 2) along the surface's normal, rear and front foot [N]
+    friction_force: FloatArray  # (n, 2) down-slope [N]
+    measured: FloatArray  # (n, 3) like `body`, linear between frames, NaN where lost
+    contacts: tuple[Contact, ...]  # in the order of time
+    values: dict[str, float]  # the simulated set by name [SI]
+    slip_speed: FloatArray  # (n, 2) down-slope [m/s]
 
     @property
     def sticks(self) -> BoolArray:

@@ -143,18 +143,10 @@ def figure_landing_maps(
     which half the tolerance changes the class of a set. Contours are drawn where at least half of the sets
     land. Slopes above a map, for limits a little higher, are hatched.
 
-    Parameters
-    ----------
-    limits : mapping, optional
-        Static limits of the surface's first set by surface and controller.
-    experiments : sequence of Experiment
-        Real landings, drawn where surface and controller agree.
-    short, long : float
-        Distances of the classes [m], for the legend.
-    legend : MapLegend, optional
-        Takes what is drawn, and the figure bears no legend: a page has one for many figures.
-    edges : mapping, optional
-        By surface and controller, the map of the impulse alone, whose edge is drawn as in Fig. 9.
+    `limits` are the static ones of the surface's first set by surface and controller. `experiments` are drawn
+    where both agree. `short` and `long` divide the classes [m]. A given `legend` takes what is drawn, and the
+    figure bears none: a page has one for many figures. `edges` are maps of the impulse alone by surface and
+    controller, whose edge is drawn as in Fig. 9.
     """
     surfaces = list(dict.fromkeys(chart.surface for chart in maps))
     columns = list(dict.fromkeys(chart.controller for chart in maps))
@@ -178,7 +170,11 @@ def figure_landing_maps(
     for chart in maps:
         axes = grid[surfaces.index(chart.surface), columns.index(chart.controller)]
         axes.set_visible(True)
-        lowest, edge = _mesh(axes, chart, _blend(chart))
+        blend = np.zeros((*chart.landed.shape, 3))
+        for outcome in OUTCOMES:
+            blend += np.nan_to_num(chart.share(outcome))[..., None] * np.array(to_rgb(COLOURS[outcome]))
+        blend[chart.likeliest == Outcome.LOST] = to_rgb(COLOURS[Outcome.LOST])
+        lowest, edge = _mesh(axes, chart, np.clip(blend, 0.0, 1.0))
         axes.set_ylim(lowest, highest)
         if highest > edge + 1e-9:
             axes.axhspan(edge, highest, **_BEYOND)
@@ -217,14 +213,6 @@ def figure_landing_maps(
         title="one set per map" if counts == [1] else blended, fontsize=8, title_fontsize=8,
     )  # fmt: skip
     return figure
-
-
-def _blend(chart: LandingMap) -> FloatArray:
-    image = np.zeros((*chart.landed.shape, 3))
-    for outcome in OUTCOMES:
-        image += np.nan_to_num(chart.share(outcome))[..., None] * np.array(to_rgb(COLOURS[outcome]))
-    image[chart.likeliest == Outcome.LOST] = to_rgb(COLOURS[Outcome.LOST])
-    return np.clip(image, 0.0, 1.0)
 
 
 def _mesh(

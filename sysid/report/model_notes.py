@@ -130,13 +130,11 @@ def checks(motor: ParameterSets, gear: ParameterSets) -> Html:
     return markup_table(listed("numbers of the paper, and of this code", rows, heads, texts=4))
 
 
-def reversal_delay(
-    motor: ParameterSets, before: float = 0.62, after: float = -1.0, share: float = 0.9
-) -> float:
-    """Return the time from a reversal command to a share of the final thrust [s]."""
+def reversal_delay(motor: ParameterSets, after: float = -1.0, share: float = 0.9) -> float:
+    """Return the time from a reversal command, out of 62 % forward, to a share of the final thrust [s]."""
     # The start lies before the command: a steady start is one under the command that holds there.
     time = np.linspace(-0.1, 1.5, 3201)
-    run = simulate(motor.set_values(1), [-1.0, 0.0], [before, after], time, initial="steady")
+    run = simulate(motor.set_values(1), [-1.0, 0.0], [0.62, after], time, initial="steady")
     final = float(run.thrust[-1])
     reached = np.flatnonzero(run.thrust * np.sign(final) >= share * abs(final))
     return float(time[reached[0]])

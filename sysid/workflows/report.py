@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,7 +113,13 @@ def write_report(
     if path.is_file() and path.suffix.lower() in (".h5", ".hdf5"):
         make_page = PAGES.get(schema_of(path, ExportError))
         if make_page is not None:
-            return {"report": _write_map_page(path, make_page, options)}
+            for name in ("against", "figure", "gif", "mp4", "drop"):
+                if getattr(options, name) is not None:
+                    raise ExportError(f"{path}: --{name} is for the report of a fit; leave it out")
+            out = options.out or path.with_suffix(".html")
+            check_file(out, force=options.force, error_type=ExportError)
+            write_file(out, make_page(path).encode("utf-8"), ExportError)
+            return {"report": out}
     report = open_report(folder)
     if options.compare is not None:
         report = replace(report, beside=second_fit(report, options.compare))
@@ -181,16 +187,6 @@ def print_report(folder: str | Path, options: ReportOptions, json: bool, say: Sa
         return
     for path in written.values():
         print(f"wrote {path}")
-
-
-def _write_map_page(path: Path, make_page: Callable[[Path], str], options: ReportOptions) -> Path:
-    for name in ("against", "figure", "gif", "mp4", "drop"):
-        if getattr(options, name) is not None:
-            raise ExportError(f"{path}: --{name} is for the report of a fit; leave it out")
-    out = options.out or path.with_suffix(".html")
-    check_file(out, force=options.force, error_type=ExportError)
-    write_file(out, make_page(path).encode("utf-8"), ExportError)
-    return out
 
 
 def _check_targets(options: ReportOptions, out: Path) -> None:

@@ -29,48 +29,35 @@ damping: Compiled = None  # type: ignore[assignment]
 class Surface:
     """A friction law and how it is identified.
 
-    Parameters
-    ----------
-    name, title : str
-        As campaigns say it, ``lf``; as a report says it in "the ... law", the name by default.
-    reads : tuple of str
-        Rows of the gear's table that the law reads, at most `LAW_SLOTS`, in the order in which its functions
-        receive them as the tuple ``law``. The first is the kinetic friction coefficient, the second the
-        static one's excess where the law has one; a law with modes reads the front foot's excess third.
-    free : tuple of str
-        Parameters that a fit searches by default.
-    solve : compiled function
-        ``(joints, angles, rates, loads, normals, slips, modes, law, coefficients) -> (accelerations,
-        friction, required, stiff)``: the motion's seven accelerations under the law, friction on the rear and
-        front foot [N], the friction that each foot would need to stick [N], and the fastest decay rate of a
-        slip [1/s], which bounds the explicit step. Arguments as in `sysid.gear.kernel.dynamics`; ``modes`` is
-        (stuck, stuck, way, way) of the rear and front foot. `continuous_law` makes it from two formulas.
-    after_step : compiled function, optional
-        ``(work, lane, lanes, h, taken, new_h) -> (taken, new_h)``: decide on a step of a law with modes, and
-        switch them (`sysid.gear.surfaces.high_friction`); None for a law without memory.
-    friction : compiled function, optional
-        ``(force_c, force_d, slip_c, slip_d, law) -> (friction_c, friction_d)`` of a law without memory.
-    nominal, bounds : mapping
-        Default values, whose `source` is stated, and search bounds (lower, upper) where they differ from the
-        table's [SI].
-    tolerance : float
-        Bound of the weighted rms error of the seven rates per step that a fit needs on this surface.
-    budget : float
-        Right-hand sides that a drop may spend per second of its length at that tolerance.
+    The first row that a law reads is the kinetic friction coefficient, the second the static one's excess
+    where the law has one; a law with modes reads the front foot's excess third. `friction` belongs to a law
+    without memory, `after_step` to one with modes; the other is None.
     """
 
-    name: str
+    name: str  # word of campaigns, such as ``lf``
+    # Rows of the gear's table, at most `LAW_SLOTS`, in the order in which its functions receive the tuple
+    # ``law``.
     reads: tuple[str, ...]
-    free: tuple[str, ...]
+    free: tuple[str, ...]  # parameters that a fit searches by default
+    # ``(joints, angles, rates, loads, normals, slips, modes, law, coefficients) -> (accelerations, friction,
+    # required, stiff)``: the motion's seven accelerations under the law, friction on the rear and front foot
+    # [N], the friction that each foot would need to stick [N], and the fastest decay rate of a slip [1/s],
+    # which bounds the explicit step. Arguments as in `sysid.gear.kernel.dynamics`; ``modes`` is (stuck,
+    # stuck, way, way) of the rear and front foot. `continuous_law` makes it from two formulas.
     solve: Compiled
+    # ``(work, lane, lanes, h, taken, new_h) -> (taken, new_h)``: decide on a step, and switch the modes
+    # (`sysid.gear.surfaces.high_friction`).
     after_step: Compiled | None = None
+    # ``(force_c, force_d, slip_c, slip_d, law) -> (friction_c, friction_d)``.
     friction: Compiled | None = None
+    # Default values, whose `source` is stated, and search bounds where they differ from the table's [SI].
     nominal: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # Bound of the weighted rms error of the seven rates per step that a fit needs on this surface.
     tolerance: float = 3e-4
-    budget: float = 4.5e4
+    budget: float = 4.5e4  # right-hand sides that a drop may spend per second at that tolerance
     source: str = ""
-    title: str = ""
+    title: str = ""  # words of a report in "the ... law", the name by default
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.reads) <= LAW_SLOTS:
