@@ -128,14 +128,14 @@ def rigid_limits(
     0.05 m/s a landing is at rest.
     """
     law = find_surface(surface)
-    p = _Rig.of(gear, law, reverse_thrust)
-    kinetic = p.values[law.reads[0]]
-    static = kinetic + p.values[law.reads[1]] if law.switching else kinetic
-    creep = slide = slide_limit(static, p.ratio)
+    values, ratio, distance, height = _rig(gear, law, reverse_thrust)
+    kinetic = values[law.reads[0]]
+    static = kinetic + values[law.reads[1]] if law.switching else kinetic
+    creep = slide = slide_limit(static, ratio)
     if not law.switching and "slip_regularization" in law.reads:
-        share = creep_speed / (creep_speed + p.values["slip_regularization"])
-        creep = slide_limit(kinetic * share, p.ratio)
-    return RigidLimits(slide, tip_limit(p.distance, p.height, p.ratio, p.values["foot_dx"]), creep)
+        share = creep_speed / (creep_speed + values["slip_regularization"])
+        creep = slide_limit(kinetic * share, ratio)
+    return RigidLimits(slide, tip_limit(distance, height, ratio, values["foot_dx"]), creep)
 
 
 def set_down_limit(
@@ -151,15 +151,15 @@ def set_down_limit(
     lifts it.
     """
     law, rules = find_surface(surface), Rules()
-    rig = _Rig.of(gear, law, reverse_thrust)
+    values, *_ = _rig(gear, law, reverse_thrust)
     slopes = np.arange(0.0, VERTICAL, _PUT)
     starts = np.zeros((len(slopes), 6))
-    starts[:, :2] = rig.values["foot_dz"] * np.column_stack([np.sin(slopes), np.cos(slopes)])
+    starts[:, :2] = values["foot_dz"] * np.column_stack([np.sin(slopes), np.cos(slopes)])
     starts[:, 2] = slopes
     half = PiecewiseCubic.constant(-0.5 * reverse_thrust)
     drops = Drops(slopes, starts, [np.array([0.0, rules.horizon])] * len(slopes), Propulsion(half, half))
     flown = simulate_population(
-        pack(rig.values, law),
+        pack(values, law),
         drops,
         surface=law,
         tolerance=LANDING_TOLERANCE,
@@ -178,35 +178,25 @@ def set_down_limit(
     return StaticLimit(float(slopes[first]) - 0.5 * _PUT, leaves)
 
 
-@dataclass(frozen=True)
-class _Rig:
-    """What the closed forms need of a set."""
-
-    values: dict[str, float]
-    ratio: float
-    distance: float
-    height: float
-
-    @classmethod
-    def of(cls, gear: Mapping[str, float], surface: Surface, reverse_thrust: float) -> _Rig:
-        row = pack({name: value for name, value in gear.items() if name in PARAMETERS}, surface)
-        values = dict(zip(PARAMETERS, row.tolist(), strict=True))
-        up, down = values["leg_mass_fraction"], 1.0 - values["leg_mass_fraction"]
-        # A leg's centre of mass at rest: `leg_mass_fraction` of the way from its foot to its joint.
-        out = up * values["joint_dx"] + down * values["foot_dx"]
-        deep = up * values["joint_dz"] + down * values["foot_dz"]
-        rear = values["leg_mass"]
-        front = rear * values["front_leg_mass_ratio"]
-        mass = values["body_mass"] + rear + front
-        weight = mass * values["gravity"]
-        if not (math.isfinite(reverse_thrust) and reverse_thrust > -weight):
-            raise CampaignError(
-                f"static limits: a reverse thrust of {reverse_thrust:g} N on a weight of {weight:.2f} N; "
-                "give a finite thrust that does not lift the drone, positive pressing it down"
-            )
-        return cls(
-            values,
-            reverse_thrust / weight,
-            values["foot_dx"] - (front - rear) * out / mass,
-            values["foot_dz"] - (front + rear) * deep / mass,
+def _rig(
+    gear: Mapping[str, float], surface: Surface, reverse_thrust: float
+) -> tuple[dict[str, float], float, float, float]:
+    """Return a whole set [SI], thrust over weight [1], and the centre of mass from the front feet [m]."""
+    row = pack({name: value for name, value in gear.items() if name in PARAMETERS}, surface)
+    values = dict(zip(PARAMETERS, row.tolist(), strict=True))
+    up, down = values["leg_mass_fraction"], 1.0 - values["leg_mass_fraction"]
+    # A leg's centre of mass at rest: `leg_mass_fraction` of the way from its foot to its joint.
+    out = up * values["joint_dx"] + down * values["foot_dx"]
+    deep = up * values["joint_dz"] + down * values["foot_dz"]
+    rear = values["leg_mass"]
+    front = rear * values["front_leg_mass_ratio"]
+    mass = values["body_mass"] + rear + front
+    weight = mass * values["gravity"]
+    if not (math.isfinite(reverse_thrust) and reverse_thrust > -weight):
+        raise CampaignError(
+            f"static limits: a reverse thrust of {reverse_thrust:g} N on a weight of {weight:.2f} N; "
+            "give a finite thrust that does not lift the drone, positive pressing it down"
         )
+    distance = values["foot_dx"] - (front - rear) * out / mass
+    height = values["foot_dz"] - (front + rear) * deep / mass
+    return values, reverse_thrust / weight, distance, height

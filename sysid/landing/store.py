@@ -21,6 +21,8 @@ from sysid.types import FloatArray
 
 MAPS = FileKind("sysid-landing-maps", 2, "a file of landing maps", "compute the map again", ExportError)
 STUDY = FileKind("sysid-design-study", 2, "a design study", "compute the study again", ExportError)
+# Settings of a study that its file states by name.
+_STATED = ("share", "spread_deg", "together", "tolerance")
 _CODES = ", ".join(f"{outcome.value}: {outcome.text}" for outcome in Outcome)
 
 
@@ -108,10 +110,7 @@ def _put_study(file: h5py.File, study: DesignStudy, provenance: Mapping[str, obj
     file.attrs["name"], file.attrs["controller"] = study.name, study.controller
     document = {
         "changes": [asdict(change) for change in study.changes],
-        "share": settings.share,
-        "spread_deg": settings.spread_deg,
-        "together": settings.together,
-        "tolerance": settings.tolerance,
+        **{name: getattr(settings, name) for name in _STATED},
         "rules": asdict(settings.rules),
     }
     put_json(file, "settings_json", document)
@@ -134,7 +133,7 @@ def read_study(path: Path) -> tuple[DesignStudy, dict[str, Any]]:
     """Return a design study and its provenance; raises `ExportError` for anything else."""
     with STUDY.opened(path) as file:
         document, provenance = (get_json(file, f"{name}_json") for name in ("settings", "provenance"))
-        stated = {name: document[name] for name in ("share", "spread_deg", "together", "tolerance")}
+        stated = {name: document[name] for name in _STATED}
         slopes, speeds = (tuple(file[name][()].tolist()) for name in ("slope", "speed"))
         settings = StudySettings(slopes, speeds, **stated, rules=Rules(**document["rules"]))
         changes = tuple(Change(**row | {"values": tuple(row["values"])}) for row in document["changes"])

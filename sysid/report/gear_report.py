@@ -92,7 +92,7 @@ class GearReport(FitReport):
             + " and the forces of weight, thrust, ground and leg joints"
         )
         caption = "Frames, lengths and forces (Fig. 2), drawn to scale from the best set."
-        return picture(self._geometry(), words, caption)
+        return picture(figure_geometry(values, self._steepest), words, caption)
 
     @titled(
         "Animation",
@@ -125,8 +125,7 @@ class GearReport(FitReport):
 
     def sketch(self) -> Html:
         """Return the drone on its steepest slope."""
-        values = self.fit.parameter_sets().set_values()
-        return gear_sketch(values, max((drop.slope for drop in self.drops()), default=math.radians(_SLOPE)))
+        return gear_sketch(self.fit.parameter_sets().set_values(), self._steepest)
 
     def snapshots(self) -> Html:
         """Return the instants (1) to (4) of Fig. 7 of the steepest drop."""
@@ -162,7 +161,8 @@ class GearReport(FitReport):
 
     def figures(self) -> dict[str, Figure]:
         """Return the figures for a paper, with the diagrams of the model."""
-        out = super().figures() | {"geometry": self._geometry()}
+        values = self.fit.parameter_sets().set_values()
+        out = super().figures() | {"geometry": figure_geometry(values, self._steepest)}
         if self._law is not None and self._law.switching:
             out["modes"] = figure_modes(mode_shares(self.drops()))
         return out
@@ -191,6 +191,6 @@ class GearReport(FitReport):
         """Return the replay of a drop with the best set; None where it cannot be repeated."""
         return self.replays.get((fit is self.against, trial.name))
 
-    def _geometry(self) -> Figure:
-        slope = max((drop.slope for drop in self.drops()), default=math.radians(_SLOPE))
-        return figure_geometry(self.fit.parameter_sets().set_values(), slope)
+    @property
+    def _steepest(self) -> float:
+        return max((drop.slope for drop in self.drops()), default=math.radians(_SLOPE))

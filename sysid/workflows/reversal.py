@@ -79,19 +79,11 @@ def command_range(options: ReversalOptions, unit: str, where: str) -> CommandRan
 
 
 @dataclass(frozen=True, eq=False)
-class LogReversals:
-    """Reversals of one log, one group of repetitions per pair of commands.
+class LogReversals(ReversalCurves):
+    """Reversals of one log; its thrust as timed: tared, filtered where the log is fast."""
 
-    `thrust` is times [s] and values [N] as timed: tared, filtered where the log is fast. Zero crossing and
-    dead band come from the channel `crossing_from`, speed or thrust. The `lost` reversals are left out
-    because the logger stalled around their command.
-    """
-
-    name: str
-    groups: tuple[Repetitions, ...]
-    thrust: tuple[FloatArray, FloatArray]
-    crossing_from: str
-    lost: int
+    crossing_from: str  # channel of zero crossing and dead band, speed or thrust
+    lost: int  # reversals left out because the logger stalled around their command
     notes: tuple[Finding, ...]
 
     def document(self, slow: float) -> dict[str, object]:
@@ -248,8 +240,7 @@ def print_reversal_times(
     if len(set(names)) < len(names):
         timed = [replace(log, name=str(path)) for log, path in zip(timed, logs, strict=True)]
     if figure is not None:
-        curves = [ReversalCurves(log.name, log.groups, log.thrust) for log in timed]
-        save_figure(figure_reversals(curves), figure)
+        save_figure(figure_reversals(timed), figure)
     document = {"level": LEVEL, "logs": [log.document(options.slow) for log in timed]}
     if print_result(document, json):
         return

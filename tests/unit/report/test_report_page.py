@@ -447,14 +447,6 @@ def test_the_numbers_beside_the_misprints_are_those_of_the_design_notes(sets):
     assert model_notes.reversal_delay(sets["motor"]) == pytest.approx(0.21, abs=0.01)
 
 
-def test_the_verdict_says_what_is_open_and_what_is_not_known(tmp_path):
-    sentences = " ".join(FitReport(tmp_path, made_fit(uses=("fit", "fit"))).sentences())
-    assert "five sets fit two trials" in sentences
-    assert "none was held back" in sentences
-    assert "Intervals have not been computed" in sentences
-    assert "leg axial stiffness (k_h)" in sentences
-
-
 def cut_fit(cut=1):
     """A fit of which some runs met the generation limit."""
     fit = made_fit(runs=3)
