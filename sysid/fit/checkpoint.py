@@ -29,6 +29,8 @@ INTERVAL = 1.0
 # Keys of an identity that may differ on another processor, which rounds the costs of candidates otherwise.
 PROCESSOR = "processor"
 PROBES = "cost of the same candidates (its inputs or code)"
+# Relative difference of these costs that another processor may make [1]: an allowance for rounding.
+SAME_COST = 1e-4
 
 _TEXTS = ("algorithm", "evaluations", "simulations", "wall_time", "stop_reason", "causes")
 
@@ -57,10 +59,11 @@ class Checkpoint(BlockStore):
         super().take_up()
 
     def refuse_other(self, stored: Mapping[str, object], but: Collection[str] = ()) -> None:
-        """Refuse another identity; note another processor."""
+        """Refuse another identity; note another processor, whose rounding alone may change the costs."""
         then, now = stored.get(PROCESSOR), self.identity.get(PROCESSOR)
         if then != now:
-            but = (PROCESSOR, PROBES)
+            near = _near(stored.get(PROBES), self.identity.get(PROBES))
+            but = (PROCESSOR, PROBES) if near else (PROCESSOR,)
             self.notes.append(
                 f"the fit was begun on another processor ({then}; this is {now}): it goes on, but its result "
                 "may differ in the last bits from an uninterrupted fit"
@@ -125,6 +128,14 @@ class Checkpoint(BlockStore):
                 "another program wrote it; start again with --force"
             )
         return stage, start
+
+
+def _near(then: object, now: object) -> bool:
+    """Return whether two lists of costs (hexadecimal) are equal but for rounding."""
+    if not isinstance(then, list) or not isinstance(now, list) or len(then) != len(now):
+        return False
+    pairs = [(float.fromhex(a), float.fromhex(b)) for a, b in zip(then, now, strict=True)]
+    return all(abs(a - b) <= SAME_COST * abs(a) for a, b in pairs)
 
 
 def _packed(stage: StageHistory, start: Start) -> Columns:

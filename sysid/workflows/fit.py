@@ -144,8 +144,8 @@ def fit_campaign(
                 except SysidError as error:
                     # The fit is whole without its intervals.
                     missing = f"no intervals ({error}); run sysid trust {folder}"
-                except KeyboardInterrupt:
-                    # The sets are not lost to a user who wants no intervals; --resume makes them.
+                except BaseException:
+                    # Neither Ctrl-C nor a fault in the intervals loses the sets; --resume makes them.
                     write_fit(result, folder, replaces)
                     raise
             written = write_fit(result, folder, replaces, shown=shown, beside=beside)

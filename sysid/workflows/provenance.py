@@ -18,7 +18,9 @@ from sysid.fit.search import FINISH_POPULATION, run_seeds
 from sysid.fit.settings import SearchSettings
 from sysid.fit.story import Story
 
-_LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "cma", "pandas", "h5py")
+# Libraries that choose the candidates of a search.
+_SEARCHING = ("numpy", "scipy", "pymoo", "cma")
+_LIBRARIES = (*_SEARCHING, "numba", "pandas", "h5py")
 
 
 def fit_identity(settings: SearchSettings, story: Story) -> dict[str, Any]:
@@ -34,6 +36,7 @@ def fit_identity(settings: SearchSettings, story: Story) -> dict[str, Any]:
         **{f"log {name}": digest for name, digest in story.hashes.items()},
         "parameter_table": hashlib.sha256(table.encode()).hexdigest(),
         "version_of_sysid": __version__,
+        **{f"version_of_{name}": version(name) for name in _SEARCHING},
         **{f"option_{name}": value for name, value in settings.continued_by().items()},
         **story.accuracy,
     }

@@ -214,11 +214,22 @@ def test_refused_when_anything_differs(tmp_path, change, words):
 
 def test_on_another_processor_a_fit_goes_on_and_says_so(tmp_path, whole):
     interrupted(tmp_path / "fit", 33, **{PROCESSOR: "One 1", PROBES: ["0x1.0p0"]})
-    other = {PROCESSOR: "Other 2", PROBES: ["0x1.1p0"]}
+    other = {PROCESSOR: "Other 2", PROBES: ["0x1.00001p0"]}
     for flag, done in ((lambda: True, False), (lambda: False, True)):
         found, (note,) = run_all(tmp_path / "fit", resume=True, flag=flag, done=done, **other)
         assert "begun on another processor (One 1; this is Other 2): it goes on, but its result may" in note
     assert_same_runs(found, whole)
+
+
+def test_costs_of_the_same_candidates_may_be_rounded_elsewhere_only(tmp_path):
+    then = {PROCESSOR: "One 1", PROBES: [(0.1).hex(), (2.5).hex()]}
+    elsewhere = {**then, PROCESSOR: "Other 2"}
+    near, far = [[(0.1 * (1 + d)).hex(), (2.5).hex()] for d in (1e-9, 1e-3)]
+    interrupted(tmp_path / "fit", 20, **then)
+    for now in ({**then, PROBES: near}, {**elsewhere, PROBES: far}, {**elsewhere, PROBES: None}):
+        with pytest.raises(FitError, match=r"the cost of the same candidates .* differs"):
+            Checkpoint(tmp_path / "fit", {**IDENTITY, **now}, resume=True)
+    Checkpoint(tmp_path / "fit", {**IDENTITY, **elsewhere, PROBES: near}, resume=True).close()
 
 
 def test_neither_overwritten_nor_resumed_by_accident(tmp_path):

@@ -3,13 +3,14 @@
 import json
 import shutil
 from contextlib import suppress
+from importlib.metadata import version
 
 import numpy as np
 import pytest
 
 from fakes.faults import KINDS, Disk, Killed, faulty
 from fakes.lag_kind import write_lag
-from sysid.errors import ExportError, SysidError
+from sysid.errors import ExportError, FitError, SysidError
 from sysid.fit import checkpoint
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.store import read_fit
@@ -17,6 +18,7 @@ from sysid.resume import BlockStore
 from sysid.storage import FileKind, write_file
 from sysid.trust.documents import TRUST, TrustDocument, read_arrays
 from sysid.workflows import fit as workflow
+from sysid.workflows import provenance
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.landing_sources import compute_and_write
 from sysid.workflows.options import ComputeOptions, FitOptions
@@ -159,6 +161,29 @@ def test_every_write_of_a_fit_with_intervals_may_fail(campaign, tmp_path, monkey
             fit_campaign(path, FitOptions(out=out, resume=True, **search))
         assert texts(out) == complete, what
         shutil.rmtree(Checkpoint.folder_of(out), ignore_errors=True)
+
+
+def test_a_fault_in_the_intervals_leaves_a_whole_fit_which_only_the_same_libraries_continue(
+    campaign, tmp_path, monkeypatch
+):
+    def full(*_):
+        raise MemoryError
+
+    out, search = tmp_path / "fit", {"quiet": True, "check": False}
+    with monkeypatch.context() as patched:
+        patched.setattr(workflow, "assess_opened", full)
+        with pytest.raises(MemoryError):
+            fit_campaign(campaign[0], FitOptions(out=out, **search))
+    assert numbers(out) == numbers(campaign[2])
+    assert TrustDocument.read(out) is None
+    for name in ("numpy", "scipy", "pymoo", "cma"):
+        with monkeypatch.context() as patched:
+            patched.setattr(provenance, "version", lambda of, name=name: "0.1" if of == name else version(of))
+            with pytest.raises(FitError, match=rf"the version of {name} differs \(now 0\.1, then "):
+                fit_campaign(campaign[0], FitOptions(out=out, resume=True, **search))
+    fit_campaign(campaign[0], FitOptions(out=out, resume=True, **search))
+    assert numbers(out) == numbers(campaign[2])
+    assert TrustDocument.read(out) is not None
 
 
 # --- maps and design studies --------------------------------------------------------------------------------
