@@ -135,7 +135,7 @@ def figure_rungs(document: LadderDocument) -> Figure:
 
 
 def conclusion(document: LadderDocument) -> list[str]:
-    """Return which terms to keep, or why none, and what the model still lacks: one thought each."""
+    """Return which terms to keep, or why none, what the model still lacks, and what no trial needs."""
     keep, judged = document.keep, document.adequacy
     worst = judged.misfit
     lacks = (
@@ -143,12 +143,19 @@ def conclusion(document: LadderDocument) -> list[str]:
         f"is left, {worst.channel_ratio:.2f} × in {worst.channel}"
     )
     lacking = [] if judged.verdict == EXPLAINED_BY else [lacks]
+    needless = [
+        f"{rung.terms[0]} predicts what was left out as well: do not believe the fitted "
+        + ", ".join(document.symbols[name] for name in document.base.values if name not in rung.values)
+        for rung in document.simpler
+        if not rung.kept
+    ]
     if keep:
-        return [f"keep {', '.join(keep)}", *lacking]
+        return [f"keep {', '.join(keep)}", *lacking, *needless]
     if not lacking:
         return [
             "noise explains the fit, and no term is both certain beside the others and of use for what was "
-            "left out: keep the model"
+            "left out: keep the model",
+            *needless,
         ]
     nearest = document.together[0]
     return [
@@ -157,4 +164,5 @@ def conclusion(document: LadderDocument) -> list[str]:
         f"{_gain(nearest)} %",
         *lacking,
         "fit more trials, unlike these, and climb again",
+        *needless,
     ]

@@ -223,6 +223,17 @@ def test_a_conclusion_never_calls_a_wrong_model_right():
     assert conclusion(ladder_of())[1].startswith("the model still lacks something")
 
 
+@pytest.mark.parametrize("made", [{}, {"keep": ()}, {"keep": (), "verdict": EXPLAINED_BY}])
+def test_a_simpler_model_that_predicts_as_well_takes_belief_from_what_it_lacks(made):
+    document = ladder_of(**made)
+    less = {"terms": ["without offset"], "values": {"leg_axial_stiffness": 6000.0}}
+    served, needed = (document.base.model_copy(update={**less, "kept": kept}) for kept in (False, True))
+    last = "without offset predicts what was left out as well: do not believe the fitted dx_f"
+    before = conclusion(document)
+    assert conclusion(document.model_copy(update={"simpler": [served]})) == [*before, last]
+    assert conclusion(document.model_copy(update={"simpler": [needed]})) == before
+
+
 @pytest.mark.parametrize("kind", ["gear", "motor"])
 def test_a_report_shows_the_ladder_and_takes_it_for_no_validation(kind, tmp_path, run):
     folder = tmp_path / "fit"
