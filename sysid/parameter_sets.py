@@ -224,6 +224,8 @@ _SAME = ("kind", "name", "parameters", "settings", "provenance", "warnings")
 NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
 # Key of the settings: interval, open ends, verdict and doubt of every free parameter of an assessed fit.
 INTERVALS = "intervals"
+# Key of the settings: parameters that data may only bound, whose digits are not printed without an interval.
+NOT_ASSESSED = "not_assessed"
 # Key of the provenance: residuals of the fit over the noise, see `sysid.fit.adequacy`.
 ADEQUACY = "adequacy"
 # Largest NRMSE over the best one [1] of a set that counts for the spread of a fit that was cut short.
@@ -369,7 +371,7 @@ class SetsContent:
     def known(self) -> dict[str, Known]:
         """What is known of every parameter, by name, in column order."""
         judged, alone = self.judged, self.settings.get(NOT_ALONE, ())
-        together = self.settings.get(COMBINATIONS, ())
+        together, unassessed = self.settings.get(COMBINATIONS, ()), self.settings.get(NOT_ASSESSED, ())
         unknown = np.full(len(self.parameters), np.nan)
         means, sigmas = (self.mean, self.sigma) if len(self.nrmse) else (unknown, unknown)
         out = {}
@@ -377,6 +379,8 @@ class SetsContent:
             row = judged.get(record.name)
             # A parameter that rests on a guessed scale has no digits but the guess's.
             instead = "not identifiable" if record.name in alone else row.in_place_of_digits if row else None
+            if row is None and record.name in unassessed:
+                instead = instead or "not assessed"
             out[record.name] = Known(
                 record=record,
                 found=record.status == "free" or record.name in together,

@@ -28,7 +28,14 @@ from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
 from sysid.motor.static_curves import CurveFit, no_load_line
 from sysid.motor.targets import PreparedTrial
-from sysid.parameter_sets import COMBINATIONS, INTERVALS, NOT_ALONE, ParameterRecord, parameter_records
+from sysid.parameter_sets import (
+    COMBINATIONS,
+    INTERVALS,
+    NOT_ALONE,
+    NOT_ASSESSED,
+    ParameterRecord,
+    parameter_records,
+)
 from sysid.types import FloatArray
 
 # Steps of the delays of a held-out log that are tried, one after the other [s].
@@ -148,6 +155,8 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     else:
         settings = {"saturation": {"fitted": False, "why": _WHY[cut]}}
         notice("cut-short", f"{_WHY[cut]}: the dead band was not fitted; continue it with --resume")
+    # k_d drags by 5 µN·m at 500 rad/s, the air by 40 mN·m: any small value serves.
+    settings[NOT_ASSESSED] = [name for name in ("viscous_damping",) if name in space.names]
     if not bench.scale_known:
         banded = ["k_I_sat"] if band is not None or given else []
         settings |= {

@@ -450,10 +450,13 @@ def with_intervals(sets: Sets, folder: Path) -> Sets:
 def stating_intervals(sets: Sets, document: TrustDocument) -> Sets:
     """Return sets whose settings state interval and verdict of a document, and which give its warnings."""
     rows = {row.name: row.model_dump(include={*Judged.model_fields}) for row in document.parameters}
+    findings = sets.provenance.get("findings", ())
+    settled = {one["sentence"] for one in findings if one["code"] == "not-assessed"}
+    warnings = dict.fromkeys((*sets.warnings, *document.warnings))
     return replace(
         sets,
         settings={**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}},
-        warnings=tuple(dict.fromkeys((*sets.warnings, *document.warnings))),
+        warnings=tuple(warning for warning in warnings if warning not in settled),
     )
 
 

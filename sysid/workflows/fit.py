@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -30,7 +30,7 @@ from sysid.fit.store import check_new_fit, write_fit
 from sysid.fit.story import Story
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
-from sysid.parameter_sets import INTERVALS
+from sysid.parameter_sets import INTERVALS, NOT_ASSESSED
 from sysid.trust.documents import part_files, stating_intervals
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import sentences
@@ -122,7 +122,8 @@ def fit_campaign(
             follows = options.trust and outcome.cut is None
             # A spread of the sets beside an interval is a second claim; of a wrong model it is none.
             loose = loose_findings(runs, problem.space, not follows and judged.verdict != NOT_BY)
-            doubts = chain(misfit_finding(judged), loose, bound_findings(outcome.records, outcome.at_bound))
+            bounds = bound_findings(outcome.records, outcome.at_bound)
+            doubts = chain(misfit_finding(judged), _not_assessed(outcome, follows, folder), loose, bounds)
             result = _result(model.name, problem, runs, outcome, judged, record)
             _add_doubts(journal, doubts)
             noticed = [finding.document() for finding in journal.findings]
@@ -168,6 +169,18 @@ def _add_doubts(journal: Journal, doubts: Iterable[Finding]) -> None:
         lost = {name for old in journal.findings if old.code == "not-identifiable" for name in old.parameters}
         if not finding.parameters or not lost.issuperset(finding.parameters):
             journal.add(finding)
+
+
+def _not_assessed(outcome: FitOutcome, follows: bool, folder: Path) -> Iterator[Finding]:
+    """Yield which parameters have no digits without the intervals, unless these follow."""
+    for row in outcome.records:
+        if not follows and row.name in outcome.settings.get(NOT_ASSESSED, ()):
+            yield Finding(
+                "not-assessed",
+                f"{row.name.replace('_', ' ')} ({row.symbol}) was not assessed, and the data may give it no "
+                f"more than a bound: no digits are printed until sysid trust {folder} finds its interval",
+                parameters=(row.name,),
+            )
 
 
 def _judged(fitted: Problem, outcome: FitOutcome) -> Adequacy:

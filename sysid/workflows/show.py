@@ -10,7 +10,7 @@ from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
-from sysid.parameter_sets import ADEQUACY, ParameterSets
+from sysid.parameter_sets import ADEQUACY, NOT_ASSESSED, ParameterSets
 from sysid.report.fold import print_lines, print_table
 from sysid.report.ladder import conclusion
 from sysid.report.set_tables import (
@@ -93,12 +93,13 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
 def verdict_on(result: FitResult) -> str:
     """Return whether noise explains the fit, and what the data leave open, in one sentence."""
     found, judged = result.provenance.get("findings", ()), result.provenance.get(ADEQUACY)
-    words = {name: row.verdict for name, row in result.judged.items()}
+    words = dict.fromkeys(result.settings.get(NOT_ASSESSED, ()), NOT_ASSESSED)
+    words |= {name: row.verdict for name, row in result.judged.items()}
     unfixed = {name for one in found if one["code"] == "not-identifiable" for name in one["parameters"]}
     words |= {name: "not_identifiable" for name in unfixed if words.get(name) != "not_interpretable"}
     lost = [
         f"{word}: {', '.join(sorted(name for name in words if words[name] == word))}"
-        for word in ("not_interpretable", "not_identifiable")
+        for word in ("not_interpretable", "not_identifiable", NOT_ASSESSED)
         if word in words.values()
     ]
     if judged is None:

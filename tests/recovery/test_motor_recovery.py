@@ -18,6 +18,7 @@ from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TRUE_MOTOR, synthesize_motor
 from sysid.workflows.fit import fit_motor
 from sysid.workflows.options import FitOptions
+from sysid.workflows.show import print_sets, verdict_on
 
 TRUTH = {**PARAMETERS.nominal, **TRUE_MOTOR}
 # The paper's NRMSE of its motor fit on real logs: a bound that a synthetic fit must beat.
@@ -96,7 +97,7 @@ def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path
     options = FitOptions(
         out=tmp_path / "fit", runs=1, population=60, max_generations=25, seed=4, quiet=True, trust=False
     )
-    result, _ = fit_motor(campaign_file, options)
+    result, folder = fit_motor(campaign_file, options)
     values = result.parameter_sets().set_values(1)
     # Required: 5 %. A population of 60 for 25 generations stops near, not at, the optimum.
     assert values["winding_resistance"] == pytest.approx(0.299, rel=0.05)
@@ -120,6 +121,16 @@ def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path
     assert stage["nrmse"][0] < 0.02 < 0.2 < stage["nrmse_without_saturation"][0]
     worst = max(abs(d["measured"] - d["simulated"]) for d in result.settings["reversal_delays"])
     assert worst < 8e-3  # 5 ms, and the noise of the thrust at 90 % of 1 N
+    # k_d = 9.2e-9 drags by 5 µN·m beside 40 mN·m: any small value serves; without a bound none is printed.
+    said = "viscous damping (k_d) was not assessed"
+    assert any(one.startswith(said) and f"until sysid trust {folder} " in one for one in result.warnings)
+    capsys.readouterr()
+    print_sets(folder, json=False)
+    shown, kept = capsys.readouterr().out, (folder / "summary.txt").read_text(encoding="utf-8")
+    assert "; not assessed: viscous damping; " in verdict_on(result)
+    # Ranked sets and means, in place of digits.
+    assert shown.count("not assessed") == 2, shown
+    assert "not assessed   viscous_damping\n" in kept
 
 
 def _delay(parameters: dict, before: float, after: float) -> float:

@@ -15,6 +15,7 @@ from fakes.sets import made_sets
 from sysid.errors import ExportError
 from sysid.export import export, load_parameter_sets
 from sysid.parameter_sets import ParameterRecord, ParameterSets
+from sysid.trust.documents import FreeParameter, TrustDocument, stating_intervals
 
 SUFFIXES = ["json", "csv", "h5", "mat"]
 
@@ -208,3 +209,19 @@ def test_written_files_have_ordinary_rights(tmp_path):
     plain = tmp_path / "plain"
     plain.touch()
     assert path.stat().st_mode == plain.stat().st_mode
+
+
+def test_a_parameter_that_data_may_only_bound_has_no_digits_until_it_has_an_interval():
+    name, said = "leg_axial_stiffness", "k_h was not assessed"
+    sets = made_sets(
+        settings={"not_assessed": [name]},
+        provenance={"findings": [{"code": "not-assessed", "sentence": said}]},
+        warnings=(said, "dust"),
+    )
+    assert [sets.known[name].text(s) for s in range(3)] == ["not assessed"] * 3
+    bound = FreeParameter.model_construct(
+        name=name, interval_95=[1.0, 7e3], open_95=[True, False], verdict="not_identifiable", doubt=None
+    )
+    assessed = stating_intervals(sets, TrustDocument.model_construct(parameters=[bound], warnings=[]))
+    assert assessed.known[name].text() == "≤ 7e+03"
+    assert assessed.warnings == ("dust",)
