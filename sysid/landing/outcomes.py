@@ -24,21 +24,15 @@ class Outcome(IntEnum):
     OTHER = 3
     LOST = 4
 
-    @property
-    def text(self) -> str:
-        """Say what it means."""
-        return _MEANINGS[self]
 
-
-_MEANINGS = (
+# Meanings of the classes in their order, in the words of a file.
+MEANINGS = (
     "at rest within the short distance",
     "at rest within the long distance",
     "flipped within the long distance (A)",
     "neither: still moving, or beyond the long distance (B)",
     "the simulation failed",
 )
-
-
 # The classes that a landing can have; LOST is a failure of the simulator.
 OUTCOMES = (Outcome.SHORT, Outcome.NEAR, Outcome.FLIPPED, Outcome.OTHER)
 LANDED = (Outcome.SHORT, Outcome.NEAR)

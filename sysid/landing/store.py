@@ -14,7 +14,7 @@ from sysid.errors import ExportError
 from sysid.landing.design_study import Change, DesignStudy
 from sysid.landing.impulse_maps import UNITS, ImpulseMap
 from sysid.landing.maps import CellMap, LandingMap
-from sysid.landing.outcomes import OUTCOMES, Outcome, Rules
+from sysid.landing.outcomes import MEANINGS, OUTCOMES, Rules
 from sysid.landing.settings import StudySettings
 from sysid.storage import FileKind, get_json, get_texts, numbered, put, put_json, put_texts, write_file
 from sysid.types import FloatArray
@@ -23,7 +23,7 @@ MAPS = FileKind("sysid-landing-maps", 2, "a file of landing maps", "compute the 
 STUDY = FileKind("sysid-design-study", 2, "a design study", "compute the study again", ExportError)
 # Settings of a study that its file states by name.
 _STATED = ("share", "spread_deg", "together", "tolerance")
-_CODES = ", ".join(f"{outcome.value}: {outcome.text}" for outcome in Outcome)
+_CODES = ", ".join(f"{code}: {meaning}" for code, meaning in enumerate(MEANINGS))
 
 
 @dataclass(frozen=True, eq=False)

@@ -186,12 +186,12 @@ def figure_bytes(figure: Figure, kind: str, dpi: float = 150.0) -> bytes:
     return buffer.getvalue()
 
 
-def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path:
+def save_figure(figure: Figure, path: str | Path) -> Path:
     """Write a figure as PNG, PDF or SVG; an existing file is replaced only by a complete one.
 
     An ExportError names another suffix, or a file that cannot be written.
     """
     path = Path(path)
     check_figure_name(path)
-    write_file(path, figure_bytes(figure, path.suffix.lower()[1:], dpi), ExportError)
+    write_file(path, figure_bytes(figure, path.suffix.lower()[1:]), ExportError)
     return path

@@ -36,9 +36,9 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
 
     Raises `SysidError` before anything is computed, where an input cannot be used.
     """
-    how, motors, picture = options.compute, options.motors, options.out.with_suffix(".png")
+    how, motors, settings = options.compute, options.motors, options.study
+    picture = options.out.with_suffix(".png")
     check_result("study", options.out, how.force, picture)
-    settings = options.study
     changes = find_changes(options.vary)
     (fleet,), origin = open_fleets(motors, [options.sets], options.out)
     (controller,) = chosen_controllers(
@@ -47,7 +47,8 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
     )  # fmt: skip
     points = designs(changes, settings.together)
     fleets = fleets_of(fleet, changes, points)
-    for grid in settings.grids():
+    grids = settings.grids()
+    for grid in grids:
         grid.cells()  # refuses an attitude that cannot touch down before any map is computed
 
     def compute(where: Computing) -> DesignStudy | None:
@@ -61,7 +62,6 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
         write_study(options.out, study, origin | more)
         save_figure(figure_design_study(study), picture)
 
-    grids = settings.grids()
     identity = map_identity(fleets, [controller], *grids)
     blocks = (len(grids) * len(points) * len(fleet), "landings")
     study = compute_and_write(options.out, identity, blocks, compute, write, options=how)
