@@ -2,8 +2,9 @@
 
 Libraries of binary formats believe the lengths that a file states, some of them in C: a damaged file may
 crash them, keep them for ever or make them take all memory. The child imports one reader and reads one file;
-the parent limits its time and its memory. The child answers with a line of JSON, then with the samples as
-plain numbers of eight bytes. Its start costs some 0.5 s: Python, numpy and the library of the format.
+the parent limits its time and its memory; on Linux the kernel refuses memory that is taken faster than the
+parent looks. The child answers with a line of JSON, then with the samples as plain numbers of eight bytes.
+Its start costs some 0.5 s: Python, numpy and the library of the format.
 """
 
 from __future__ import annotations
@@ -33,15 +34,24 @@ from sysid.loaders.source import Source, shortened
 from sysid.recording import Channel, Provenance, Recording
 from sysid.types import FloatArray
 
-# Time that a read may take [s], and further time for each byte of the file [s/byte].
+# Processor time that a read may take [s], and further time for each byte of the file [s/byte].
 _TIME, _TIME_PER_BYTE = 20.0, 2e-6
+# Time by the clock, as a multiple of that: a busy machine refuses no file, a child that waits for ever ends.
+_PATIENCE = 6.0
 # Memory that a child may take [bytes], or this multiple of the file's size where that is more.
 _MEMORY, _GAIN = 1 << 30, 20
 # Length of the longest first line of an answer [bytes]: names, units and notes of thousands of channels.
 _HEAD = 1 << 24
+# The kernel's limit, as a multiple of that memory: it also counts memory that is reserved and never used.
+_RESERVED = 2
 # Interval at which the parent looks at the time and at the memory [s].
 _LOOK = 0.01
-_CHILD = "from sysid.loaders.isolation import answer; answer()"
+_CHILD = """\
+import json, sys
+sys.path[:], *asked = json.loads(sys.stdin.buffer.readline())
+from sysid.loaders.isolation import answer
+answer(*asked)
+"""
 _REMEDY = "the file is damaged, so copy or export it again"
 
 
@@ -77,18 +87,29 @@ def isolated(module: str, source: Source, options: Mapping[str, object]) -> Reco
     """
     path, size = source.path, os.path.getsize(source.path)
     seconds, memory = _TIME + _TIME_PER_BYTE * size, max(_MEMORY, _GAIN * size)
-    with subprocess.Popen(
-        [sys.executable, "-P", "-c", _CHILD],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(entry or os.getcwd() for entry in sys.path)},
-    ) as child:  # fmt: skip
+    patience = _PATIENCE * seconds
+    try:
+        child = subprocess.Popen(
+            [sys.executable or "", "-P", "-c", _CHILD],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+    except OSError as error:
+        raise LogError(
+            f"{path}: cannot start the process that reads this format ({error}); end other programs, or run "
+            "sysid in an ordinary Python, then read the log again"
+        ) from error
+    with child:
         assert isinstance(child.stdin, io.BufferedWriter)
         assert isinstance(child.stdout, io.BufferedReader)
         overdrawn: list[str] = []
-        watch = threading.Thread(target=_watch, args=(child, seconds, memory, overdrawn), daemon=True)
-        watch.start()
+        watch = threading.Thread(
+            target=_watch, args=(child, seconds, patience, memory, overdrawn), daemon=True
+        )
         try:
-            child.stdin.write(json.dumps([module, path, options, seconds], default=_plain).encode() + b"\n")
+            watch.start()
+            places = [entry or os.getcwd() for entry in sys.path]
+            asked = [places, module, path, options, patience, memory]
+            child.stdin.write(json.dumps(asked, default=_plain).encode() + b"\n")
             child.stdin.flush()  # stays open: its end tells the child that this process is gone
             return _received(child.stdout)
         except SysidError:
@@ -113,21 +134,30 @@ def _plain(value: object) -> object:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 
-def _watch(child: subprocess.Popen[bytes], seconds: float, memory: int, overdrawn: list[str]) -> None:
+def _watch(
+    child: subprocess.Popen[bytes], seconds: float, patience: float, memory: int, overdrawn: list[str]
+) -> None:
     """Kill a child that takes too long or too much memory, and say so."""
-    last = time.monotonic() + seconds
-    with suppress(psutil.Error):  # the child has ended
-        process = psutil.Process(child.pid)
-        while child.poll() is None and not overdrawn:
-            if time.monotonic() > last:
-                overdrawn.append(f"not read after {seconds:.3g} s, far longer than its size explains")
-            if process.memory_info().rss > memory:
-                much = f"{memory / 1e9:.3g} GB"
+    last = time.monotonic() + patience
+    while child.poll() is None and not overdrawn:
+        # The child has ended, or the system does not show what the child takes: the clock still counts.
+        with suppress(psutil.Error):
+            process = psutil.Process(child.pid)
+            times = process.cpu_times()
+            if times.user + times.system > seconds:
                 overdrawn.append(
-                    f"reading it takes more than {much} of memory, far more than its size explains"
+                    f"not read after {seconds:.3g} s of processor time, far longer than its size explains"
                 )
-            time.sleep(_LOOK)
+            elif process.memory_info().rss > memory:
+                overdrawn.append(_too_much(memory))
+        if time.monotonic() > last:
+            overdrawn.append(f"not read after {patience:.3g} s, far longer than its size explains")
+        time.sleep(_LOOK)
     child.kill()
+
+
+def _too_much(memory: int) -> str:
+    return f"reading it takes more than {memory / 1e9:.3g} GB of memory, far more than its size explains"
 
 
 def _received(stream: io.BufferedReader) -> Recording:
@@ -153,19 +183,22 @@ def _received(stream: io.BufferedReader) -> Recording:
         for name, unit, clock, shape in document["channels"]
     }
     stated = document["provenance"]
-    notes = tuple(Finding(one["code"], one["sentence"], one["severity"]) for one in stated.pop("notes"))
+    notes = tuple(
+        Finding(**one | {"trials": tuple(one["trials"]), "parameters": tuple(one["parameters"])})
+        for one in stated.pop("notes")
+    )
     return Recording(document["kind"], channels, Provenance(**stated, notes=notes))
 
 
-def answer() -> None:
-    """Read the file that standard input names and write what came of it: all that a child does."""
-    module, path, options, seconds = json.loads(sys.stdin.buffer.readline())
+def answer(module: str, path: str, options: dict[str, object], patience: float, memory: int) -> None:
+    """Read a file and write what came of it: all that a child does."""
+    _limit_memory(memory)
     # Standard output is the answer's alone: what a library prints there goes nowhere.
     out, nowhere = os.fdopen(os.dup(1), "wb"), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     # A killed parent watches no more. A library in C may keep the thread from running, but not the alarm.
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    faulthandler.dump_traceback_later(seconds + 1.0, exit=True, file=nowhere)
+    faulthandler.dump_traceback_later(patience + 1.0, exit=True, file=nowhere)
     try:
         recording = read_here(module, Source(path), options)
         clocks = list({id(channel.time): channel.time for channel in recording.channels.values()}.values())
@@ -181,12 +214,28 @@ def answer() -> None:
     except SysidError as error:
         cause = error.__cause__
         said = "" if cause is None else "".join(traceback.format_exception(cause))
-        document, arrays = {"refusal": [type(error).__name__, str(error), said]}, []
+        sentence = str(error)
+        if isinstance(cause, MemoryError):  # the kernel was faster than the parent
+            sentence = f"{path}: {_too_much(memory)}; {_REMEDY}"
+        document, arrays = {"refusal": [type(error).__name__, sentence, said]}, []
     out.write(json.dumps(document).encode() + b"\n")
     for numbers in arrays:
         out.write(numbers.data)
     out.flush()
     os._exit(0)
+
+
+def _limit_memory(memory: int) -> None:
+    """Let the kernel refuse far more memory than a read may take, beyond what the libraries have by now."""
+    if sys.platform != "win32":
+        import resource
+
+        taken = psutil.Process().memory_info()
+        most = getattr(taken, "data", taken.vms) + _RESERVED * memory
+        soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        if soft == resource.RLIM_INFINITY or most < soft:
+            with suppress(ValueError, OSError):  # a system that knows no such limit
+                resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
 
 
 def _end_with_parent() -> None:
