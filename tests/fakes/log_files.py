@@ -83,10 +83,12 @@ def assert_turns(channel, quaternions, lost, atol):
     assert np.all(np.sum(got[1:] * got[:-1], axis=1) >= 0)
 
 
-def c3d(path, points, *, labels=None, rate=100.0, unit="mm", residuals=None, analogs=None, trial=None):
+def c3d(
+    path, points, *, labels=None, rate=100.0, unit="mm", residuals=None, analogs=None, trial=None, form=()
+):
     """Write points (frames, markers, 3) and analog channels {label: (unit, values)}, of any number per frame.
 
-    ``trial`` is the first and the last frame that the TRIAL group states.
+    ``trial`` is the first and the last frame that the TRIAL group states, ``form`` states ANALOG:FORMAT.
     """
     ezc3d = pytest.importorskip("ezc3d", reason="ezc3d comes with the logs extra")
     frames, count, _ = points.shape
@@ -107,6 +109,7 @@ def c3d(path, points, *, labels=None, rate=100.0, unit="mm", residuals=None, ana
     if analogs:
         units, values = zip(*analogs.values(), strict=True)
         state("ANALOG", RATE=[rate * len(values[0]) / frames], LABELS=list(analogs), UNITS=list(units))
+        state("ANALOG", FORMAT=list(form))
         file["data"]["analogs"] = np.array(values)[None]
     file.write(str(path))
     return path

@@ -38,11 +38,16 @@ def _recognize(source: Source) -> int:
 
 
 def _tree_v5(source: Source) -> Tree:
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
+    logical = {name for name, _, kind in whosmat(source.path) if kind == "logical"}
     # Three names of the file itself begin with two underscores, which no variable of MATLAB may.
     tree: Tree = loadmat(source.path, simplify_cells=True)
-    return {name: value for name, value in tree.items() if not name.startswith("__")}
+    return {
+        name: np.asarray(value, dtype=bool) if name in logical else value  # loadmat returns uint8
+        for name, value in tree.items()
+        if not name.startswith("__")
+    }
 
 
 def _tree_v73(source: Source, notes: list[Finding]) -> Tree:
@@ -74,7 +79,7 @@ def _described(name: str, value: object) -> str:
         return f"{name.lstrip('/')} (array of {len(value)} structs)"
     array = np.asarray(value)
     shape = " × ".join(str(size) for size in array.shape)
-    kind = {"O": "cells or structs", "c": "complex numbers"}.get(array.dtype.kind, "")
+    kind = {"O": "cells or structs", "c": "complex numbers", "b": "logicals"}.get(array.dtype.kind, "")
     return f"{name.lstrip('/')} ({shape} {kind or ('matrix' if array.ndim == 2 else 'array')})"
 
 

@@ -7,7 +7,9 @@ time of arrival; lengths are metres and quaternions x, y, z, w by the definition
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +24,19 @@ from sysid.loaders.columns import listing, listing_note
 from sysid.loaders.isolation import library
 from sysid.loaders.options import CaptureOptions
 from sysid.loaders.registry import CERTAIN, NO
-from sysid.loaders.source import Source
+from sysid.loaders.source import Source, shortened
 from sysid.loaders.table import Numbers, promised_note
 
 _BAG, _MCAP, _SQLITE = b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _Rows = list[tuple[float, ...]]
 _POSES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry", "TFMessage")
+
+
+# Names of what SQLite computes while it is read: views, triggers, virtual tables, generated columns.
+_COMPUTED = (
+    "SELECT entry.name FROM sqlite_master entry LEFT JOIN pragma_table_xinfo(entry.name) field "
+    "WHERE entry.type NOT IN ('table', 'index') OR entry.sql LIKE 'CREATE VIRTUAL%' OR field.hidden > 0"
+)
 
 
 def _recognize(source: Source) -> int:
@@ -44,6 +53,13 @@ def _open(source: Source) -> tuple[Any, bool]:
     if source.head.startswith(_MCAP):
         return library(path, "rosbags.rosbag2.storage_mcap", "rosbags").McapReader(file), False
     if source.head.startswith(_SQLITE):
+        address = f"{file.absolute().as_uri()}?mode=ro&immutable=1"
+        with closing(sqlite3.connect(address, uri=True)) as base:
+            if computed := base.execute(_COMPUTED).fetchone():
+                raise LogError(
+                    f"{path}: {shortened(str(computed[0]))} is computed by SQLite, where a recording has "
+                    "plain tables; record it again"
+                )
         return library(path, "rosbags.rosbag2.storage_sqlite3", "rosbags").Sqlite3Reader(file), False
     raise LogError(f"{path}: neither a ROS bag nor MCAP (its first bytes do not say so); check the format")
 

@@ -40,11 +40,12 @@ def test_what_a_matlab_file_holds_besides_signals_is_named(tmp_path):
     path = tmp_path / "log.mat"
     cells = np.empty((1, 2), object)
     cells[0, 0] = cells[0, 1] = RAMP
-    savemat(path, {"Fs": 1.0, "FT": np.tile(RAMP, (6, 1)), "c": cells, "z": RAMP + 1j})
+    savemat(path, {"Fs": 1.0, "FT": np.tile(RAMP, (6, 1)), "c": cells, "z": RAMP + 1j, "ok": RAMP > 3})
     with pytest.raises(LogError) as refusal:
         load(path)
     # 300 columns are more than any sensor has: the matrix lies on its side.
-    for words in ("passed over", "FT (6 × 300 matrix)", "c (2 cells", "z (300 complex numbers)"):
+    assert "passed over" in str(refusal.value)
+    for words in ("FT (6 × 300 matrix)", "c (2 cells", "z (300 complex numbers)", "ok (300 logicals)"):
         assert words in str(refusal.value)
 
 
@@ -146,6 +147,20 @@ def test_signals_of_unknown_unit_are_named(tmp_path, write):
     device = "Devices\n100\n,,Load\nFrame,Sub Frame,Pin 1\n,,quux\n"
     path = write(device + "".join(f"{i + 1},0,{i}\n" for i in range(30)), "vicon.csv")
     assert 'kept as recorded: "Load/Pin 1 [quux]"' in notes(load(path))
+
+
+def test_whole_numbers_of_a_c3d_without_sign(tmp_path):
+    numbers = np.array([0, 1, 32767, 32768, 65535] * 10)
+    analogs = {"a0": ("N", numbers)}
+    path = c3d(tmp_path / "a.c3d", np.ones((50, 1, 3)), analogs=analogs, form=["UNSIGNED"])
+    data = path.read_bytes()
+    # The same file as scaled whole numbers: a positive POINT:SCALE, also in the header, two bytes each.
+    begin = (struct.unpack_from("<H", data, 16)[0] - 1) * 512
+    reals = np.frombuffer(data[begin:], "<f4")[: 50 * 5]
+    head = data[:begin].replace(struct.pack("<f", -1.0), struct.pack("<f", 1.0))
+    for word, wanted in ((b"UNSIGNED", numbers), (b"SIGNED\0\0", numbers.astype(np.int16))):
+        path.write_bytes(head.replace(b"UNSIGNED", word) + reals.astype(np.uint16).tobytes())
+        np.testing.assert_array_equal(load(path)["analog/a0"].values, wanted)
 
 
 ATI = {"format": "ati-text", "units": {"force": "N", "torque": "N*m"}}
