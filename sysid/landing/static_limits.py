@@ -32,8 +32,8 @@ no closed form: the gear's kernel is put on one slope after the other. With Tabl
     12 N             68.3    44.8         39.5
 
 The "about 38" reported for a drone with bending legs under 12 N is no equilibrium: no friction makes the
-balance end below 42 deg, and a slow ramp in another simulator (MuJoCo) ends at the same slope. A drone that
-is set down at once holds about that slope.
+balance end below 42 deg, and a slow ramp in another simulator (MuJoCo, tests/physics/test_export_mujoco.py)
+ends at the same slope. A drone that is set down at once holds about that slope.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The report of a fit: a verdict, then sections in the order in which a reader needs them.
 
 `FitReport` needs nothing of a model but its fit and the documents of trust, so it serves every kind. A kind
-adds sections, panels and figures in a subclass that `sysid.report.kinds` lists. Each method returns a piece
-of the page, in a notebook as well; a piece that needs what has not been computed names the command.
+adds sections, panels and figures in a subclass that `sysid.workflows.kinds` finds. Each method returns a
+piece of the page, in a notebook as well; a piece that needs what has not been computed names the command.
 """
 
 from __future__ import annotations
