@@ -118,9 +118,12 @@ def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, mon
     assert replace(fit, provenance={}).searched == ()
 
 
-@pytest.mark.parametrize("kind", ["motor", "gear-lf"])
-def test_a_fit_opens_each_log_once_and_its_report_once_more(kind, tmp_path, monkeypatch):
-    """With intervals for the motor; those of the gear would take longer than the test is worth."""
+@pytest.mark.parametrize(
+    ("kind", "trust"),
+    # The intervals of the gear take two minutes.
+    [("motor", True), ("gear-lf", False), pytest.param("gear-lf", True, marks=pytest.mark.slow)],
+)
+def test_a_fit_opens_each_log_once_and_its_report_once_more(kind, trust, tmp_path, monkeypatch):
     opened = Counter()
 
     def counted(path, **options):
@@ -129,7 +132,7 @@ def test_a_fit_opens_each_log_once_and_its_report_once_more(kind, tmp_path, monk
 
     monkeypatch.setattr(logs, "load", counted)
     small = {"population": 8, "runs": 1, "max_generations": 1, "finish": "none", "quiet": True}
-    options = FitOptions(out=tmp_path / "fit", check=False, trust=kind == "motor", **small)
+    options = FitOptions(out=tmp_path / "fit", check=False, trust=trust, **small)
     _, folder = fit_campaign(SAMPLES / kind / "campaign.toml", options)
     assert len(opened) >= 8
     assert set(opened.values()) == {1}
