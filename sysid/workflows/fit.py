@@ -31,6 +31,7 @@ from sysid.fit.story import Story
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
 from sysid.parameter_sets import INTERVALS, NOT_ASSESSED
+from sysid.parameters import about, in_words
 from sysid.trust.documents import part_files, stating_intervals
 from sysid.trust.sensitivity import quick_expectations
 from sysid.trust.verdicts import sentences
@@ -175,12 +176,11 @@ def _not_assessed(outcome: FitOutcome, follows: bool, folder: Path) -> Iterator[
     """Yield which parameters have no digits without the intervals, unless these follow."""
     for row in outcome.records:
         if not follows and row.name in outcome.settings.get(NOT_ASSESSED, ()):
-            yield Finding(
-                "not-assessed",
-                f"{row.name.replace('_', ' ')} ({row.symbol}) was not assessed, and the data may give it no "
-                f"more than a bound: no digits are printed until sysid trust {folder} finds its interval",
-                parameters=(row.name,),
+            sentence = (
+                f"{in_words(row, of_trial=False)} was not assessed, and the data may give it no more than a "
+                f"bound: no digits are printed until sysid trust {folder} finds its interval"
             )
+            yield about(row, "not-assessed", sentence)
 
 
 def _judged(fitted: Problem, outcome: FitOutcome) -> Adequacy:
