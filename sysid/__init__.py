@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sysid.api import simulate_drop as simulate_drop
     from sysid.api import simulate_landing as simulate_landing
     from sysid.errors import SysidError as SysidError
+    from sysid.export.numbers import numbers_for as numbers_for
     from sysid.parameter_sets import ParameterSets as ParameterSets
     from sysid.workflows.map_pictures import impulse_map as impulse_map
     from sysid.workflows.map_pictures import landing_map as landing_map
@@ -44,6 +45,7 @@ _HOMES = {
     ),
     "sysid.errors": ("SysidError",),
     "sysid.export": ("load_parameter_sets",),
+    "sysid.export.numbers": ("numbers_for",),
     "sysid.parameter_sets": ("ParameterSets",),
     "sysid.workflows.map_pictures": ("impulse_map", "landing_map"),
 }  # fmt: skip

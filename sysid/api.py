@@ -33,6 +33,7 @@ from sysid.parameter_sets import ParameterSets, RankedSet, interval_columns
 from sysid.recording import Recording
 from sysid.report.inspect_figures import figure_logs
 from sysid.shown import Shown
+from sysid.storage import path_of
 from sysid.trials.look import LogReport, inspect_recording
 from sysid.trust.documents import CheckDocument, FreeParameter, TrustDocument, with_intervals
 from sysid.workflows import fit as fits
@@ -55,6 +56,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Options = TypeVar("Options")
+# Largest whole number that is read [1]: a larger one has no place among floating-point numbers.
+_LARGEST = 10**300
 
 
 class Log(Recording):
@@ -91,7 +94,7 @@ def load_log(path: str | Path, *, format: str = "auto", **options: object) -> Lo
     >>> log.to_frame().columns.tolist()
     ['command [us]', 'speed [rad/s]', 'thrust [N]', 'torque [N·m]']
     """
-    return Log(**vars(load(path, format=format, **options)))
+    return Log(**vars(load(path_of(path, "a log"), format=format, **options)))
 
 
 def inspect(path: str | Path, *, format: str = "auto", **options: object) -> LogReport:
@@ -106,7 +109,7 @@ def inspect(path: str | Path, *, format: str = "auto", **options: object) -> Log
     >>> round(report.drop.touchdown, 2)
     11.82
     """
-    return inspect_recording(load(path, format=format, **options))
+    return inspect_recording(load(path_of(path, "a log"), format=format, **options))
 
 
 class Judgement(Shown):
@@ -177,7 +180,7 @@ class Campaign:
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Read a campaign file, or the one in a folder; CampaignError when it cannot be used."""
-        path = campaign_file(Path(path))
+        path = campaign_file(path_of(path, "a campaign"))
         return cls(path, read_campaign(path))
 
     def __repr__(self) -> str:
@@ -347,13 +350,14 @@ class Fit(Shown):
         """
         if out is None and self._kept:
             raise FitError(f"{self.result.name}: no folder was kept; name the page, as in report('fit.html')")
-        given = {**options, "out": out}
+        given = {**options, "out": None if out is None else path_of(out, "the page")}
         return write_report(self._folder, python_options(ReportOptions, given))["report"]
 
 
 def load_fit(path: str | Path) -> Fit:
     """Read a fit folder; FitError when it is missing, foreign or damaged."""
-    folder = fit_folder(Path(path))
+    path = path_of(path, "a fit")
+    folder = fit_folder(path)
     return Fit(with_intervals(read_fit(path), folder), folder)
 
 
@@ -382,9 +386,9 @@ def fit_campaign(
     SysidError
         When an input cannot be used; nothing has been written then.
     """
-    path = campaign.path if isinstance(campaign, Campaign) else campaign_file(Path(campaign))
+    path = campaign.path if isinstance(campaign, Campaign) else campaign_file(path_of(campaign, "a campaign"))
     kept = TemporaryDirectory(prefix="sysid-") if out is None else None
-    folder = Path(kept.name) / "fit" if kept else Path(out or "")
+    folder = Path(kept.name) / "fit" if kept else path_of(out, "the new fit folder")
     chosen = python_options(FitOptions, options, out=folder, quiet=True)
     result, written = fits.fit_campaign(path, chosen, kind=kind, law=law)
     return Fit(result, written, kept)
@@ -506,6 +510,8 @@ def _checked(name: str, value: object, hint: Any) -> object:
     if isinstance(value, Real) and not isinstance(value, bool):
         # numpy's numbers too
         value = int(value) if isinstance(value, Integral) else float(value)
+        if isinstance(value, int) and abs(value) > _LARGEST:
+            raise CampaignError(f"{name}: expected a number of a few digits, found one of over 300")
         if unit == "deg" and abs(value) > math.tau:
             raise CampaignError(
                 f"{name} = {value:g}: a bare number is in rad; write {name} = '{value:g} deg'"

@@ -8,7 +8,7 @@ that only the writer understands (the settings of a model) is an `Open` field, s
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -127,11 +127,13 @@ class Document(Part):
     """A document that is a JSON file.
 
     A kind of document declares ``schema_`` (key ``schema``) and ``version`` as literals with defaults. A
-    refusal calls it `WHAT` and advises the `REMEDY`.
+    refusal calls it `WHAT` and advises the `REMEDY`. `MIGRATIONS` has, by an older version, the function that
+    turns the content of that version into the next one's, so that old files stay readable.
     """
 
     WHAT: ClassVar[str] = "a document"
     REMEDY: ClassVar[str] = "write it again"
+    MIGRATIONS: ClassVar[Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]]] = {}
 
     schema_: str = Field(alias="schema")
     version: int
@@ -152,7 +154,8 @@ class Document(Part):
         """
         try:
             head = json.loads(text)
-        except ValueError as error:
+        # Lists in lists without end are a RecursionError.
+        except (ValueError, RecursionError) as error:
             raise error_type(f"{place}: damaged or cut off ({error}); {cls.REMEDY}") from error
         return cls._checked(head, place, error_type, lambda: cls.model_validate_json(text))
 
@@ -169,13 +172,18 @@ class Document(Part):
         head = content if isinstance(content, dict) else {}
         if head.get("schema") != name:
             raise error_type(f"{place}: not {cls.WHAT} of sysid; {cls.REMEDY}")
+        old = head.get("version")
+        while head.get("version") in cls.MIGRATIONS:
+            version = head["version"]
+            head = cls.MIGRATIONS[version](head) | {"version": version + 1}
         if head.get("version") != number:
             raise error_type(
-                f"{place}: {cls.WHAT} of version {head.get('version')!r}, expected {number}; read it with "
+                f"{place}: {cls.WHAT} of version {old!r}, expected {number}; read it with "
                 f"the version of sysid that wrote it, or {cls.REMEDY}"
             )
         try:
-            return validated()
+            # JSON again, because its rules for numbers that JSON lacks are others than Python's.
+            return validated() if head.get("version") == old else cls.model_validate_json(json.dumps(head))
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(key) for key in first["loc"])

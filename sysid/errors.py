@@ -5,6 +5,9 @@ The command line prints it on one line and exits with 2.
 """
 
 import re
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Self
 
 # Control characters, line separators, and marks that turn the direction of text.
 _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
@@ -21,11 +24,29 @@ def printable(text: str) -> str:
 
 
 class SysidError(Exception):
-    """Base of every refusal that sysid makes on purpose."""
+    """Base of every refusal that sysid makes on purpose.
+
+    `needs` are the loader options that a log lacks, by name, with the expected unit or a value that may fit.
+    """
+
+    needs: Mapping[str, object] = MappingProxyType({})
+
+    def asking(self, **needs: object) -> Self:
+        """Return the refusal, which asks for loader options."""
+        self.needs = needs
+        return self
 
 
 class LogError(SysidError):
     """A log file cannot be read, or lacks what the campaign says is in it."""
+
+
+class SegmentError(LogError):
+    """A log has several segments, each on another clock, and none is chosen; `count` is how many."""
+
+    def __init__(self, message: str, count: int = 0) -> None:
+        super().__init__(message)
+        self.count = count
 
 
 class CampaignError(SysidError):

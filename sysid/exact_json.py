@@ -15,7 +15,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-_SPECIAL = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+# Texts that stand for the numbers that JSON lacks.
+SPECIAL = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 _LOOKS_SPECIAL = re.compile(r"'*(NaN|-?Infinity)\Z")
 
 
@@ -43,8 +44,8 @@ def encoded(value: object) -> Any:
 def decoded(value: object) -> Any:
     """Return what `encoded` was given."""
     if isinstance(value, str):
-        if value in _SPECIAL:
-            return _SPECIAL[value]
+        if value in SPECIAL:
+            return SPECIAL[value]
         return value[1:] if value.startswith("'") and _LOOKS_SPECIAL.match(value) else value
     if isinstance(value, dict):
         return {key: decoded(item) for key, item in value.items()}
@@ -64,7 +65,10 @@ def dumps(value: object, *, indent: int | None = 2) -> str:
 
 def loads(text: str) -> Any:
     """Return what `dumps` was given, arrays and tuples as lists; ValueError where that is no JSON."""
-    return decoded(json.loads(text, parse_constant=_refuse))
+    try:
+        return decoded(json.loads(text, parse_constant=_refuse))
+    except RecursionError as error:
+        raise ValueError(f"lists in lists without end ({error})") from error
 
 
 def plain(value: object) -> Any:

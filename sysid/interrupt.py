@@ -1,4 +1,4 @@
-"""Ctrl-C while a command runs, where a compiler would lose it too.
+"""Ctrl-C while a command runs, where a compiler would lose it too; the SIGTERM of a scheduler is the same.
 
 An exception that is raised in a callback of LLVM ends there: ctypes prints and forgets it. So the handler
 looks whether it interrupts llvmlite, and then comes again a moment later.
@@ -31,13 +31,16 @@ def raise_interrupt(signum: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def heard_interrupts() -> Iterator[None]:
-    """Let Ctrl-C end the block wherever it falls; nothing changes where Python would not raise it either."""
+    """Let Ctrl-C and SIGTERM end the block; nothing changes where Python would not raise it."""
     in_main = threading.current_thread() is threading.main_thread()
     if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
     signal.signal(signal.SIGINT, raise_interrupt)
+    # Whoever listens to Ctrl-C inside the block hears SIGTERM as well.
+    before = signal.signal(signal.SIGTERM, lambda signum, frame: signal.raise_signal(signal.SIGINT))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, before)

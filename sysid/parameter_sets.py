@@ -12,11 +12,12 @@ import json
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from numbers import Integral
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from sysid import exact_json
 from sysid.documents import Document, OpenMapping, Part, interval, rounded
@@ -172,16 +173,26 @@ class ChannelUse(Part):
     weight: float
 
 
+def _no_text(value: object) -> object:
+    # pydantic takes "1.2" and true for numbers, too.
+    if isinstance(value, bool) or (isinstance(value, str) and value not in exact_json.SPECIAL):
+        raise ValueError(f"expected a number, found {value!r}")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_text)]
+
+
 class OneSet(Part):
     """One ranked set: numbers by the parameter's name, NRMSE by trial and channel [1]."""
 
     rank: int
     run: int
     seed: int
-    nrmse: float
-    values: dict[str, float]
+    nrmse: Number
+    values: dict[str, Number]
     at_bound: dict[str, int]
-    nrmse_by_trial: dict[str, dict[str, float]]
+    nrmse_by_trial: dict[str, dict[str, Number]]
 
 
 class SetsHead(Document):
@@ -492,6 +503,8 @@ class ParameterSets(SetsContent, Shown):
 
     def column(self, name: str) -> int:
         """Return the column of `values` of a parameter, by name or symbol."""
+        if not isinstance(name, str):
+            raise ExportError(f"{self.name}: expected the name of a parameter, found {name!r:.60}")
         if name in self.names:
             return self.names.index(name)
         found = [i for i, record in enumerate(self.parameters) if record.symbol == name]
@@ -542,8 +555,10 @@ class ParameterSets(SetsContent, Shown):
 
     def set_values(self, rank: int = 1) -> RankedSet:
         """Return one set by parameter name [SI]; `rank` 1 is the best."""
-        if not 1 <= rank <= len(self):
-            raise ExportError(f"{self.name}: no set of rank {rank}; there are {len(self)}, the best is 1")
+        if not (isinstance(rank, Integral) and 1 <= rank <= len(self)):
+            raise ExportError(
+                f"{self.name}: no set of rank {rank!r:.60}; there are {len(self)}, the best is 1"
+            )
         return RankedSet(self, rank)
 
     def _head(self) -> dict[str, Any]:

@@ -62,6 +62,13 @@ class CampaignSearch:
     stop_window: Annotated[int, Ge(1)] = 4
     # Change below which a stage has converged [1]; 0, for code alone, never converges.
     stop_tolerance: Annotated[float, Gt(0)] = 1e-4
+    # Whether every stated value of the campaign is taken without error.
+    exact: Annotated[
+        bool,
+        Flag(
+            "Take every stated value as exact, as the paper does.", "--exact", default=_CAMPAIGN, panel=_PANEL
+        ),
+    ] = False
 
 
 @dataclass(frozen=True)

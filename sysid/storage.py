@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,21 @@ def _sentence(path: Path, error: BaseException) -> str:
         f"{path}: cannot be written ({why}); what was there before is unchanged: "
         "free some space or choose another place"
     )
+
+
+def path_of(given: object, what: str = "a file or folder") -> Path:
+    """Return the path that a caller gives; SysidError for what no system takes as one."""
+    if not isinstance(given, str | os.PathLike) or not isinstance(os.fspath(given), str) or not str(given):
+        raise SysidError(f"expected the path of {what} as text or a Path, found {given!r:.60}")
+    path = Path(given)
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        pass
+    except (OSError, ValueError) as error:  # too long a name, a NUL byte
+        why = getattr(error, "strerror", None) or error
+        raise SysidError(f"{str(path)[:60]!r}… is no path ({why}); name {what}") from error
+    return path
 
 
 def write_file(path: str | Path, data: bytes, error_type: type[SysidError] = SysidError) -> None:
@@ -202,7 +217,8 @@ class FileKind:
     """A kind of HDF5 file, by its attributes `schema` and `version`.
 
     A refusal is an `error_type`; it calls the file `what` (``a fit``) and advises the `remedy` (``run the fit
-    again``).
+    again``). `migrations` has, by an older version, the function that turns an open file of that version into
+    the next one's; it works on a copy in memory.
     """
 
     schema: str
@@ -210,6 +226,7 @@ class FileKind:
     what: str
     remedy: str
     error_type: type[SysidError] = SysidError
+    migrations: Mapping[int, Callable[[h5py.File], object]] = field(default_factory=dict)
 
     def content(self, write: Callable[[h5py.File], object]) -> bytes:
         """Return a file's bytes; `write` fills the open file."""
@@ -229,7 +246,17 @@ class FileKind:
         if content is None and not Path(path).is_file():
             raise self.error_type(f"{path}: no such file; name {self.what} of sysid")
         try:
-            with h5py.File(path if content is None else io.BytesIO(content), "r") as file:
+            source = path if content is None else io.BytesIO(content)
+            with h5py.File(source, "r") as file:
+                old = file.attrs.get("schema") == self.schema and file.attrs.get("version") in self.migrations
+            if old:
+                source = io.BytesIO(Path(path).read_bytes() if content is None else content)
+                with h5py.File(source, "r+") as file:
+                    _check_content(file)
+                    while (version := file.attrs["version"]) in self.migrations:
+                        self.migrations[version](file)
+                        file.attrs["version"] = version + 1
+            with h5py.File(source, "r") as file:
                 if file.attrs.get("schema") != self.schema:
                     raise self.error_type(f"{path}: not {self.what} of sysid; {self.remedy}")
                 if file.attrs.get("version") != self.version:
@@ -277,9 +304,12 @@ def schema_of(path: Path, error_type: type[SysidError] = SysidError) -> str:
 
 
 def put(group: h5py.Group, name: str, values: ArrayLike, axes: str, unit: str = "1") -> None:
-    """Write an array of numbers with the names of its axes and its unit; a long one is compressed."""
+    """Write an array of numbers with the names of its axes and its unit.
+
+    A long one is compressed, and has checksums, so that reading a flipped bit fails.
+    """
     data = np.asarray(values)
-    packed = {"compression": "gzip", "shuffle": True} if data.size > 64 else {}
+    packed = {"compression": "gzip", "shuffle": True, "fletcher32": True} if data.size > 64 else {}
     dataset = group.create_dataset(name, data=data, **packed)
     dataset.attrs["axes"], dataset.attrs["unit"] = axes, unit
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
+from tokenize import TokenError
 from typing import Any
 
 from sysid.errors import UnitError
@@ -25,7 +26,19 @@ _SPELLINGS = {
 # Spellings of revolutions per minute that leave the revolutions out.
 _PER_MINUTE = ("1/min", "min^-1", "min⁻¹", "min-1")
 
-_QUANTITY = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")
+# Longest unit that is read [characters], and a power of a number, which may have more digits than memory.
+_LONGEST = 60
+_POWER_OF_NUMBER = re.compile(r"[\d⁰¹²³⁴⁵⁶⁷⁸⁹][\s)]*(\*\*|\^|[⁰¹²³⁴⁵⁶⁷⁸⁹])")
+# The errors of pint on what is no unit depend on where its parser ends.
+_NO_UNIT = (
+    ValueError, TypeError, AttributeError, LookupError, ArithmeticError, AssertionError, SyntaxError,
+    TokenError, RecursionError,
+)  # fmt: skip
+
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_QUANTITY = re.compile(rf"^\s*({NUMBER})\s*(.*?)\s*$")
+# Sign between a value and its standard error; `sysid.stated` reads both.
+ERROR_SIGN = re.compile(r"±|\+/?-")
 
 
 @lru_cache(maxsize=1)
@@ -40,10 +53,19 @@ def _parse_unit(unit: str) -> Any:
     text = _SPELLINGS.get(unit.strip(), unit.strip())
     # kg.m2, m2 and the like: an exponent typed without a caret.
     text = re.sub(r"(?<=[A-Za-zµΩ])([23])(?![\d.])", r"^\1", text.replace(".", "*"))
+    # Outside of the try: an installation that lacks a part of pint knows no unit at all.
+    registry = _registry()
     try:
-        return _registry().Quantity(1.0, text).to_base_units()
-    except Exception as error:  # pint raises several unrelated types for one typo
+        if len(text) > _LONGEST or _POWER_OF_NUMBER.search(text):
+            raise ValueError("too long, or a number raised to a power")
+        return registry.Quantity(1.0, text).to_base_units()
+    except _NO_UNIT as error:
         raise UnitError(f"unknown unit {unit!r}; write for example mm, kg·m², N·s/m, deg, rpm/V") from error
+
+
+def _angles(unit: Any) -> dict[str, Any]:
+    """Return the powers of the angles in a unit, which for pint have no dimension."""
+    return {name: power for name, power in unit.unit_items() if name in ("radian", "steradian")}
 
 
 def factor_to_si(unit: str, expected: str = "") -> float:
@@ -56,15 +78,15 @@ def factor_to_si(unit: str, expected: str = "") -> float:
         wanted = _parse_unit(expected)
         if unit.strip() in _PER_MINUTE and str(wanted.units) == "radian / second":
             base = _parse_unit("rpm")
-        # A frequency is no angular speed although both are 1/s: where the caller names an angle, the base
-        # units are compared, radian included.
-        mixes_hertz = "radian" in str(wanted.units) and "radian" not in str(base.units)
-        if base.dimensionality != wanted.dimensionality or (
-            mixes_hertz and wanted.dimensionality == {"[time]": -1}
-        ):
+        # A frequency is no angular speed although both are 1/s, and a ratio of lengths is no angle.
+        if base.dimensionality != wanted.dimensionality or _angles(base) != _angles(wanted):
             likely = "expected a unit of that dimension"
             if base.check("[mass]") and wanted.check("[force]"):
                 likely = f"did you mean {unit.strip() + 'f'!r}, the weight of that mass?"
+            elif unit.strip() in ("%", "percent") and _angles(wanted):
+                likely = "a slope of p % has the angle atan(p/100), so write '20 deg' for 36.4 %"
+            elif base.dimensionality == wanted.dimensionality:
+                likely = "one of the two has an angle that the other lacks"
             raise UnitError(f"unit {unit!r} is not a {expected!r}; {likely}")
     return float(base.magnitude)
 
@@ -75,6 +97,10 @@ def parse_quantity(text: str, expected: str) -> float:
     Raises UnitError when there is no number, no unit, an unknown unit or one of another dimension.
     """
     match = _QUANTITY.match(text)
+    if match and ERROR_SIGN.search(match[2]):
+        raise UnitError(
+            f"{text!r} states an error, and none can be stated here; write '{match[1]}' with its unit"
+        )
     if not match:
         raise UnitError(f"{text!r} is not a number with a unit; expected for example '1 {expected}'")
     number, unit = match.groups()

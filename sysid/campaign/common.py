@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -15,17 +16,22 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    GetCoreSchemaHandler,
     PrivateAttr,
+    ValidatorFunctionWrapHandler,
     model_validator,
 )
+from pydantic_core.core_schema import CoreSchema, no_info_wrap_validator_function
 
 from sysid.errors import CampaignError, UnitError
 from sysid.loaders.options import quantity
 from sysid.parameters import ParameterTable, SearchSpace
 from sysid.search_options import CampaignSearch
+from sysid.stated import Stated, parse_stated, typical_error, without_error
 from sysid.units import parse_quantity
 
 TrialUse = Literal["fit", "validate"]
+Number = TypeVar("Number")
 
 
 def stated_in(unit: str) -> BeforeValidator:
@@ -33,17 +39,49 @@ def stated_in(unit: str) -> BeforeValidator:
     return BeforeValidator(partial(quantity, unit=unit))
 
 
-Mass = Annotated[float, stated_in("kg"), Field(gt=0)]
-Inertia = Annotated[float, stated_in("kg·m²"), Field(gt=0)]
+@dataclass(frozen=True)
+class Measured:
+    """What makes a measured quantity of a campaign, such as ``"1.242 kg ± 2 g"``, a `Stated` value.
+
+    It stands behind all other annotations of a float.
+    """
+
+    # Dimension of the quantity.
+    unit: str
+    # Standard error where the campaign states none, such as ``"1 g"`` or ``"3 %"``; empty: exact.
+    typical: str = ""
+    # How such a thing is measured: the source of that error.
+    how: str = ""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        schema = handler(source)
+        positive = schema.get("gt") == 0
+        return no_info_wrap_validator_function(partial(self._stated, positive), schema)
+
+    def _stated(self, positive: bool, value: object, inner: ValidatorFunctionWrapHandler) -> Stated:
+        try:
+            number, error = parse_stated(value, self.unit) if isinstance(value, str) else (value, None)
+        except UnitError as refusal:
+            raise ValueError(str(refusal)) from refusal
+        number = inner(number if isinstance(value, str) else quantity(value, self.unit))
+        if error is None:
+            return Stated(number, self.typical_error(number), bool(self.typical))
+        if positive and error > number:
+            raise ValueError(f"the error in {value!r} is larger than the value; write one standard deviation")
+        return Stated(number, error)
+
+    def typical_error(self, value: float) -> float:
+        """Return the typical error of a value [SI]."""
+        return typical_error(self.typical, value, self.unit) if self.typical else 0.0
+
+
 Length = Annotated[float, stated_in("m")]
 PositiveLength = Annotated[float, stated_in("m"), Field(gt=0)]
 Angle = Annotated[float, stated_in("rad")]
 Time = Annotated[float, stated_in("s")]
 PositiveTime = Annotated[float, stated_in("s"), Field(gt=0)]
 Speed = Annotated[float, stated_in("m/s"), Field(gt=0)]
-Acceleration = Annotated[float, stated_in("m/s²"), Field(gt=0)]
 Frequency = Annotated[float, stated_in("Hz"), Field(gt=0)]
-Voltage = Annotated[float, stated_in("V"), Field(gt=0)]
 
 
 class TomlTable(BaseModel):
@@ -55,7 +93,8 @@ class TomlTable(BaseModel):
 class ParameterChoices(TomlTable):
     """`[parameters]`: which rows of the model are free, between which bounds, and what others are fixed to.
 
-    Quantities stay text here: `search_space` checks their unit against the model's row.
+    Quantities stay text here: `search_space` checks their unit against the model's row. Fixed values may
+    state an error, and are exact without one.
     """
 
     free: tuple[str, ...] | None = None
@@ -89,17 +128,10 @@ class ParameterChoices(TomlTable):
             raise CampaignError(
                 f"parameters.fixed and parameters.free both name {', '.join(sorted(both))}; keep it in one"
             )
-        values = dict(campaign_values)
-        for name, text in self.fixed.items():
-            values[name] = _quantity_of("fixed", name, text, table)
-            # A row whose bounds exclude zero declares a sign: stiffness, damping, mass, current.
-            if table[name].lower >= 0 and values[name] < 0:
-                raise CampaignError(
-                    f"parameters.fixed.{name}: {text} is negative; a {name.replace('_', ' ')} cannot be"
-                )
+        values = {**campaign_values, **self.fixed_values(table)}
         bounds = {}
         for name, pair in self.bounds.items():
-            low, high = (_quantity_of("bounds", name, text, table) for text in pair)
+            low, high = (_quantity_of("bounds", name, text, table, parse_quantity) for text in pair)
             if name not in free:
                 raise CampaignError(
                     f"parameters.bounds.{name}: the parameter is not free, so bounds do nothing; "
@@ -127,11 +159,30 @@ class ParameterChoices(TomlTable):
                 )
         return space
 
+    def fixed_values(self, table: ParameterTable) -> dict[str, Stated]:
+        """Return the values to which the campaign fixes rows [SI], with the errors that it states."""
+        out = {}
+        for name, text in self.fixed.items():
+            value, error = _quantity_of("fixed", name, text, table, parse_stated)
+            # A row whose bounds exclude zero declares a sign: stiffness, damping, mass, current.
+            signed = table[name].lower < 0
+            if not signed and value < 0:
+                raise CampaignError(
+                    f"parameters.fixed.{name}: {text} is negative; a {name.replace('_', ' ')} cannot be"
+                )
+            if not signed and (error or 0.0) > value:
+                raise CampaignError(
+                    f"parameters.fixed.{name}: the error in {text!r} is larger than the value; write one "
+                    "standard deviation"
+                )
+            out[name] = Stated(value, error or 0.0)
+        return out
+
     def measured_ranges(self, table: ParameterTable) -> dict[str, tuple[float, float]]:
         """Return the independent ranges that the campaign states, SI (Table II's "measured" column)."""
         out = {}
         for name, pair in self.measured.items():
-            low, high = (_quantity_of("measured", name, text, table) for text in pair)
+            low, high = (_quantity_of("measured", name, text, table, parse_quantity) for text in pair)
             if low > high:
                 raise CampaignError(f"parameters.measured.{name}: {pair[0]} is above {pair[1]}; swap them")
             out[name] = (low, high)
@@ -146,12 +197,14 @@ def _prefixed(prefix: str) -> Iterator[None]:
         raise CampaignError(f"{prefix}{error}") from error
 
 
-def _quantity_of(where: str, name: str, text: str, table: ParameterTable) -> float:
+def _quantity_of(
+    where: str, name: str, text: str, table: ParameterTable, read: Callable[[str, str], Number]
+) -> Number:
     """Return a quantity of `parameters.WHERE.NAME` in the unit of the model's row."""
     with _prefixed(f"parameters.{where}: "):
         unit = table[name].unit
     with _prefixed(f"parameters.{where}.{name}: "):
-        return parse_quantity(text, unit)
+        return read(text, unit)
 
 
 class FitTable(TomlTable, CampaignSearch):  # type: ignore[misc]
@@ -207,6 +260,24 @@ class CampaignTable(TomlTable):
         if not any(trial.use == "fit" for trial in self.trials):
             raise ValueError("every trial has use = 'validate'; at least one must have use = 'fit'")
         return self
+
+
+def as_exact(part: Any) -> Any:
+    """Return a campaign, or a part of one, in which every stated value is exact, as the paper takes it."""
+    if isinstance(part, Stated):
+        return Stated(part) if part.error or part.assumed else part
+    if isinstance(part, tuple):
+        items = tuple(map(as_exact, part))
+        return part if all(map(operator.is_, items, part)) else items
+    if not isinstance(part, BaseModel):
+        return part
+    # A field that stays the same is not written: it would count as stated by the campaign.
+    changed = {name: new for name, old in part if (new := as_exact(old)) is not old}
+    if isinstance(part, ParameterChoices) and part.fixed:
+        changed["fixed"] = {name: without_error(text) for name, text in part.fixed.items()}
+    if isinstance(part, FitTable):
+        changed["exact"] = True
+    return part.model_copy(update=changed) if changed else part
 
 
 class Weights(TomlTable):

@@ -50,7 +50,9 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
         ) from error
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        unfilled = dict.fromkeys(_unfilled(data, ()))
+    # Tables in tables without end are a RecursionError, numbers of thousands of digits a ValueError.
+    except (ValueError, RecursionError) as error:
         if path.suffix.lower() != ".toml":
             raise CampaignFileError(
                 f"{path}: looks like a log, for it is no TOML ({error}); name a campaign, which "
@@ -67,7 +69,7 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
             f"{path}: is a {stated} campaign, expected {kind}; use 'sysid fit-{stated}', "
             f"or name a {kind} campaign"
         )
-    if unfilled := dict.fromkeys(_unfilled(data, ())):
+    if unfilled:
         raise CampaignFileError(
             f"{path}: still TODO: {', '.join(unfilled)}; measure each and write it with its unit "
             "('sysid new-campaign' says how)"

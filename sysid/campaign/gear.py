@@ -9,15 +9,12 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from sysid.campaign.common import (
-    Acceleration,
-    Angle,
     CampaignTable,
     CostTable,
     FitTable,
     Frequency,
-    Inertia,
     Length,
-    Mass,
+    Measured,
     PositiveLength,
     PositiveTime,
     Speed,
@@ -29,7 +26,9 @@ from sysid.campaign.common import (
 from sysid.campaign.logs import CaptureLogOptions
 
 CaptureAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-Point = tuple[Length, Length, Length]
+# How a place in the laboratory is found to 1 mm.
+_Place = Annotated[float, Measured("m", "1 mm", "marker or ruler")]
+Point = tuple[_Place, _Place, _Place]
 
 
 def _slope_on_earth(value: float) -> float:
@@ -40,21 +39,24 @@ def _slope_on_earth(value: float) -> float:
     return value
 
 
-Slope = Annotated[Angle, AfterValidator(_slope_on_earth)]
+Slope = Annotated[
+    float, AfterValidator(_slope_on_earth), Measured("rad", "0.2 deg", "inclinometer on the board")
+]
+_FootDistance = Annotated[float, Field(gt=0), Measured("m", "1 mm", "ruler from the centre of mass")]
 
 
 class Vehicle(TomlTable):
     """`[vehicle]`: measured values of the drone, propellers on, as dropped. Feet from the centre of mass."""
 
-    body_mass: Mass
-    body_inertia: Inertia
-    foot_dx: PositiveLength
-    foot_dz: PositiveLength
+    body_mass: Annotated[float, Field(gt=0), Measured("kg", "1 g", "kitchen scale")]
+    body_inertia: Annotated[float, Field(gt=0), Measured("kg·m²", "3 %", "bifilar pendulum")]
+    foot_dx: _FootDistance
+    foot_dz: _FootDistance
     thrust_point_dx: PositiveLength | None = None
-    leg_mass: Mass | None = None
-    leg_inertia: Inertia | None = None
-    leg_mass_fraction: float | None = Field(default=None, ge=0, le=1)
-    gravity: Acceleration = 9.81
+    leg_mass: Annotated[float, Field(gt=0), Measured("kg", "1 g", "kitchen scale")] | None = None
+    leg_inertia: Annotated[float, Field(gt=0), Measured("kg·m²", "10 %", "a rod's, or CAD")] | None = None
+    leg_mass_fraction: Annotated[float, Field(ge=0, le=1), Measured("1")] | None = None
+    gravity: Annotated[float, Field(gt=0), Measured("m/s²")] = 9.81
 
 
 class Capture(CaptureLogOptions):  # type: ignore[misc]
@@ -63,7 +65,8 @@ class Capture(CaptureLogOptions):  # type: ignore[misc]
     up: CaptureAxis = "+y"
     down_slope: CaptureAxis = "+x"
     rate: Frequency | None = None
-    centre_of_mass_offset: Point = (0.0, 0.0, 0.0)
+    # An offset that is left out is stated to be 0, with the typical error.
+    centre_of_mass_offset: Point = Field(default=("0 m",) * 3, validate_default=True)
     level: Literal["release", "capture"] = "release"
 
     @model_validator(mode="after")
@@ -79,8 +82,8 @@ class SurfaceTable(TomlTable):
     """`[surface]`: the friction law and where the plane lies in the capture frame (one way of three)."""
 
     law: str = "lf"  # a declared friction law, resolved where the model is known
-    kinetic_friction: float | None = Field(default=None, gt=0, lt=5)
-    static_friction_excess: float | None = Field(default=None, ge=0, lt=5)
+    kinetic_friction: Annotated[float, Field(gt=0, lt=5), Measured("1", "3 %", "tilted board")] | None = None
+    static_friction_excess: Annotated[float, Field(ge=0, lt=5), Measured("1")] | None = None
     slip_regularization: Speed | None = None
     point: Point | None = None
     markers: tuple[str, ...] | None = None

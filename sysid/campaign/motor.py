@@ -12,38 +12,40 @@ from sysid.campaign.common import (
     CostTable,
     FitTable,
     Frequency,
-    Inertia,
+    Measured,
     Time,
     TomlTable,
     TrialTable,
-    Voltage,
     Weights,
     stated_in,
 )
 from sysid.campaign.logs import BenchLogOptions, SecondLog, Unit
-from sysid.loaders.options import quantity
+from sysid.stated import without_error
 from sysid.types import Direction, Rotation
 
 Current = Annotated[float, stated_in("A"), Field(gt=0)]
 AngularSpeed = Annotated[float, stated_in("rad/s"), Field(gt=0)]
 
 
-def _speed_per_volt(value: object) -> float:
-    text = str(value).strip()
+def _unit_of_kv(value: object) -> object:
+    text = without_error(str(value)).strip()
     if not isinstance(value, bool) and re.fullmatch(r"\+?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", text, re.IGNORECASE):
         raise ValueError(f'{text!r} has no unit; write kv = "{text} rpm/V", as motors are sold')
-    return quantity(value, "rad/s/V")
-
-
-SpeedPerVolt = Annotated[float, BeforeValidator(_speed_per_volt), Field(gt=0)]
+    return value
 
 
 class MotorRatings(TomlTable):
     """`[motor]`: what the datasheet and a pendulum say."""
 
-    kv: SpeedPerVolt | None = None
-    rotor_inertia: Inertia | None = None
-    reference_voltage: Voltage | None = None
+    kv: (
+        Annotated[
+            float, Field(gt=0), Measured("rad/s/V", "2 %", "speed without propeller over the supply"),
+            BeforeValidator(_unit_of_kv),
+        ]
+        | None
+    ) = None  # fmt: skip
+    rotor_inertia: Annotated[float, Field(gt=0), Measured("kg·m²", "5 %", "trifilar pendulum")] | None = None
+    reference_voltage: Annotated[float, Field(gt=0), Measured("V", "0.5 %", "multimeter")] | None = None
     saturation_current: Current | None = None
     saturation_speed: AngularSpeed | None = None
 
@@ -51,7 +53,7 @@ class MotorRatings(TomlTable):
 class CommandProtocol(TomlTable):
     """`[command]`: how a logged command becomes u in [-1, 1]."""
 
-    unit: Literal["us", "dshot"]
+    unit: Literal["us", "dshot", "1"]
     minimum: float | None = None
     maximum: float | None = None
     neutral: float | None = None

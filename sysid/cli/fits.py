@@ -8,10 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from sysid.cli.adapter import command
-from sysid.cli.root import FLAGGED, app, print_json, unless
+from sysid.cli.root import FLAGGED, app, unless
 from sysid.marks import Argument, Flag
 from sysid.workflows.options import (
     CampaignPath,
@@ -222,10 +220,15 @@ def show(fit: Sets, json: Json = False) -> None:
     print_sets(fit, json)
 
 
-@command(app, "export", "sysid export fits/demo/gear-lf --out sets.json")
+@command(app, "export", "sysid export fits/demo/motor --for gazebo --mass '1.2 kg'")
 def export(
     fit: Sets,
-    out: Annotated[Path, Flag("File to write: .json, .csv, .h5, .mat, .xml or .sdf.")],
+    out: Annotated[Path | None, Flag("File to write: .json, .csv, .h5, .mat, .xml or .sdf.")] = None,
+    target: Annotated[
+        str | None,
+        Flag("Print a motor's numbers for gazebo, rotorpy, crazyflow, px4 or ardupilot.", "--for"),
+    ] = None,
+    mass: Annotated[float | None, Flag("Mass of a drone that hovers (--for).", unit="kg", least=0)] = None,
     set: Annotated[int | None, Flag("Write only the set of this rank (.xml, .sdf).", least=1)] = None,
     slope: SlopeOfGround = 0.0,
     per_leg: Annotated[bool, Flag("Model four single legs in space (.xml).")] = False,
@@ -234,15 +237,12 @@ def export(
 ) -> None:
     """Write the ranked sets for a simulator.
 
-    Each set becomes a model of its own in MuJoCo (.xml) and in Gazebo (.sdf, a motor).
+    Each set becomes a model of its own in MuJoCo (.xml) and in Gazebo (.sdf, a motor). With --for, it prints
+    the best set's numbers under the target's names, with units and 95 % intervals, and --out writes them.
     """
-    from sysid.workflows.export_models import export_sets
+    from sysid.workflows.export_models import print_exported
 
-    files = export_sets(fit, out, force, rank=set, slope=slope, per_leg=per_leg)
-    if json:
-        print_json({"written": [str(file) for file in files]})
-    for file in () if json else files:
-        typer.echo(f"wrote {file}")
+    print_exported(fit, out, force, json, target=target, mass=mass, rank=set, slope=slope, per_leg=per_leg)
 
 
 @command(app, "fits", "sysid fits")

@@ -10,12 +10,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from sysid.errors import ExportError
 from sysid.export import binary, spreadsheet
+from sysid.fit.store import FIT_FILE, read_fit
 from sysid.parameter_sets import ParameterSets, SetsDocument
-from sysid.storage import write_file
+from sysid.parameters import ParameterTable
+from sysid.storage import path_of, schema_of, write_file
+from sysid.trust.documents import with_intervals
 
-__all__ = ["export", "load_parameter_sets"]
+__all__ = ["SUFFIXES", "export", "load_parameter_sets"]
 
 
 _WRITERS = {
@@ -24,6 +29,7 @@ _WRITERS = {
     ".h5": binary.to_hdf5,
     ".mat": binary.to_mat,
 }
+SUFFIXES = tuple(_WRITERS)
 
 
 def export(sets: ParameterSets, path: str | Path) -> Path:
@@ -36,7 +42,7 @@ def export(sets: ParameterSets, path: str | Path) -> Path:
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise ExportError(
-            f"{path}: unknown export format {path.suffix!r}; expected one of {', '.join(_WRITERS)}, or on "
+            f"{path}: unknown export format {path.suffix!r}; expected one of {', '.join(SUFFIXES)}, or on "
             "the command line .xml (MuJoCo) or .sdf (Gazebo)"
         )
     if not path.parent.is_dir():
@@ -46,13 +52,19 @@ def export(sets: ParameterSets, path: str | Path) -> Path:
 
 
 def load_parameter_sets(path: str | Path) -> ParameterSets:
-    """Read parameter sets from any file that `export` writes, or from a fit folder.
+    """Read parameter sets from any file that `export` writes, or from a fit folder or a file of it.
 
-    They are equal to what was written, bit for bit. ExportError when there is no file, it is foreign,
-    damaged, cut off or of an unknown schema version.
+    They are equal to what was written, bit for bit; those of a fit state its intervals. ExportError when
+    there is no file, it is foreign, damaged, cut off or of an unknown schema version, FitError for such a
+    fit, and where its files contradict each other.
     """
-    path = Path(path)
-    file = path / "fit.json" if path.is_dir() else path
+    file = path_of(path, "a fit or a file of sets")
+    # A fit has one truth, whichever of its files is named.
+    beside = file.with_name("fit.h5")
+    of_fit = file.name in ("fit.h5", "fit.json") and beside.is_file()
+    if file.is_dir() or (of_fit and schema_of(beside, ExportError) == FIT_FILE.schema):
+        folder = file if file.is_dir() else file.parent
+        return with_intervals(read_fit(folder), folder).parameter_sets()
     try:
         data = file.read_bytes()
     except OSError as error:
@@ -80,4 +92,37 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
         raise ExportError(f"{file}: damaged or cut off ({first}); export the fit again") from error
     if not len(sets):
         raise ExportError(f"{file}: a parameter-set file without sets; export the fit again")
+    _judge(sets, file)
     return sets
+
+
+def _judge(sets: ParameterSets, file: Path) -> None:
+    """Refuse (ExportError) units and values that the table of the sets' model excludes.
+
+    NaN is a number that nothing determined; what needs it refuses it.
+    """
+    # Here, because the gear's table brings the compiler with it.
+    from sysid.gear.parameters import PARAMETERS as OF_GEAR
+    from sysid.motor.parameters import PARAMETERS as OF_MOTOR
+
+    again = "correct it, or export the fit again"
+    tables: dict[str, ParameterTable] = {"gear": OF_GEAR, "motor": OF_MOTOR}
+    table = tables.get(sets.kind)
+    for record in sets.parameters:
+        row = table.get(record.name.partition("[")[0]) if table else None
+        if row is None:
+            continue
+        if record.unit != row.unit:
+            raise ExportError(
+                f"{file}: {record.name} has the unit {record.unit!r}, expected {row.unit!r}; {again}"
+            )
+        # A scale of ratios has no zero: masses, inertias, stiffnesses, resistances.
+        least, above = (0.0, " above 0") if row.scale == "log" else (-np.inf, "")
+        values = sets[record.name]
+        # A motor without saturation has an infinite current there.
+        high = np.isposinf(values) & (row.name != "saturation_current")
+        if (wrong := np.flatnonzero((values <= least) | high)).size:
+            raise ExportError(
+                f"{file}: {record.name} of set {wrong[0] + 1} is {values[wrong[0]]:g} {row.unit}, expected "
+                f"a finite number{above}; {again}"
+            )

@@ -74,9 +74,7 @@ def from_hdf5(data: bytes, place: object) -> ParameterSets:
     with h5py.File(io.BytesIO(data), "r") as file:
         text = file["metadata_json"].asstr()[()] if "metadata_json" in file else "{}"
         metadata = SetsMetadata.parse(text, place, ExportError)
-        # The fit.h5 of a fit folder keeps the same arrays in a group of their own.
-        group = file.get("sets", file)
-        arrays = {key: group[key][()] for key in _ARRAYS if key in group}
+        arrays = {key: file[key][()] for key in _ARRAYS if key in file}
     return _assembled(metadata, arrays)
 
 

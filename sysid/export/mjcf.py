@@ -134,6 +134,7 @@ def to_mjcf(
         body_inertia=_body_inertia(values, per_leg), rest_angle=angle,
         leg_length=length, leg_centre=-(1.0 - values["leg_mass_fraction"]) * length,
         start=place + (0.0,) * (2 * len(legs)), hover=(weight / len(legs),) * len(legs),
+        sink=1e3 * weight / len(legs) / legs[0].ground[0],
     )  # fmt: skip
 
 

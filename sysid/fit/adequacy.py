@@ -98,10 +98,11 @@ class Adequacy(Part):
     """How far noise explains what a fit leaves.
 
     ``verdict`` is "explained" up to ``limits`` 1.2, "roughly" up to 1.5, else "not_explained", by the larger
-    of ``ratio`` and the largest ratio of a channel. ``nrmse`` is of the best set and ``floor`` what noise
-    alone costs [1]; ``ratio`` is the mean NRMSE over that floor, without what the uncertainty of assumed
-    values explains. ``symptoms`` are parameters whose bound cuts although the model is wrong. ``biases``
-    are systematic residuals, largest over noise first.
+    of ``ratio`` and the largest ratio of a channel. It is "roughly" as well where noise does not explain a
+    misfit that is small beside the signal; ``but_for`` then states that misfit in words. ``nrmse`` is of the
+    best set and ``floor`` what noise alone costs [1]; ``ratio`` is the mean NRMSE over that floor, without
+    what the uncertainty of assumed values explains. ``symptoms`` are parameters whose bound cuts although the
+    model is wrong. ``biases`` are systematic residuals, largest over noise first.
     """
 
     verdict: str
@@ -114,6 +115,7 @@ class Adequacy(Part):
     phases: list[PhaseAdequacy]
     misfit: Misfit
     symptoms: list[str]
+    but_for: str = ""
     biases: list[Bias] = Field(default_factory=list)
 
 
@@ -178,7 +180,9 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
     )
     floor = noise_floor(blocks)
     ratio = float(left / floor)
-    verdict = verdict_of(max(ratio, misfit.channel_ratio))
+    verdict, but_for = verdict_of(max(ratio, misfit.channel_ratio)), ""
+    if verdict != EXPLAINED_BY and not lost[0] and (but_for := _small_misfit(problem, rest)):
+        verdict = ROUGHLY_BY
     symptoms = [name for name, side in (at_bound or {}).items() if side] if verdict == NOT_BY else []
     out = Adequacy(
         verdict=verdict, sentence="", nrmse=float(nrmse), floor=floor, ratio=ratio,
@@ -191,10 +195,31 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
             for c in used
         ],
         phases=[PhaseAdequacy(name=name, ratio=each) for name, each in zip(kinds, by_phase, strict=True)],
-        misfit=misfit, symptoms=symptoms, biases=[] if lost[0] else _biases(problem, whole, rest),
+        misfit=misfit, symptoms=symptoms, but_for=but_for,
+        biases=[] if lost[0] else _biases(problem, whole, rest),
     )  # fmt: skip
     names = [in_words(row, of_trial=False) for row in problem.space.free if row.name in symptoms]
-    return out.model_copy(update={"sentence": _sentence(out, names)})
+    return out.model_copy(update={"sentence": _sentence(out, names, problem.remedy)})
+
+
+def _small_misfit(problem: Problem, residuals: FloatArray) -> str:
+    """Return the misfit beyond noise of residuals (m,) in words; empty where it is not small."""
+    parts = []
+    for c, channel in enumerate(problem.channels):
+        blocks = [block for block in problem.blocks if block.channel == c and block.count]
+        if not blocks:
+            continue
+        squares = sum(float(np.sum((residuals[b.start : b.stop] * b.spread) ** 2)) for b in blocks)
+        noise, count = sum((b.noise * b.spread) ** 2 * b.count for b in blocks), sum(b.count for b in blocks)
+        excess = float(np.sqrt(max(squares - noise, 0.0) / count))
+        signals = [problem.trials[b.trial].measured[problem.trials[b.trial].valid[:, c], c] for b in blocks]
+        share = excess / max(float(np.max(np.abs(values))) for values in signals)
+        if share > problem.small:
+            return ""
+        if squares > EXPLAINED**2 * noise:
+            size = with_unit(f"{excess:.2g}", problem.units[c])
+            parts.append(f"{size}, {100 * share:.2g} % of the largest {channel.replace('_', ' ')}")
+    return " and ".join(parts)
 
 
 def verdict_of(ratio: float) -> str:
@@ -276,9 +301,11 @@ def scores_in_words(nrmse: float, floor: float, ratio: float) -> str:
     return beside_noise(whole if left == whole else f"{whole}, without errors of known values {left}", floor)
 
 
-def _sentence(judged: Adequacy, at_bound: Sequence[str]) -> str:
+def _sentence(judged: Adequacy, at_bound: Sequence[str], remedy: str) -> str:
     word, where = WORDS[judged.verdict], judged.misfit
     scores = f"{scores_in_words(judged.nrmse, judged.floor, judged.ratio)}, {judged.ratio:.2f} × the noise"
+    if judged.but_for:
+        word = f"explained but for {judged.but_for}"
     if judged.verdict == EXPLAINED_BY:
         return f"{word}: {scores}; worst channel {where.channel}, {where.channel_ratio:.2f} ×"
     text = (
@@ -287,6 +314,7 @@ def _sentence(judged: Adequacy, at_bound: Sequence[str]) -> str:
     )
     if judged.verdict == NOT_BY:
         text += "; the model lacks something, so no parameter is well known"
+        text += f"; {remedy}" if remedy else ""
         if at_bound:
             are = "ends" if len(at_bound) == 1 else "end"
             text += f"; {', '.join(at_bound)} {are} at a bound, which is a symptom of that"

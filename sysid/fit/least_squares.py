@@ -106,11 +106,12 @@ def descend(
     tolerance: float,
     iterations: int,
 ) -> Walk:
-    """Walk downhill, at most so many `iterations`.
+    """Walk downhill, every front by at most `iterations` steps.
 
-    `steps` (n,) are those of the differences [unit cube], by default from the curvature of every front.
-    Coordinates that are `fixed` (F, n) keep their value. Without `central`, differences are one-sided, which
-    cost half. A front has converged when two steps in a row take less than the `tolerance` off its cost.
+    `steps` (n,) are the displacements of the difference quotients [unit cube]; by default they follow from
+    the curvature at each front. Coordinates that are `fixed` (F, n) keep their value. `central` differences
+    cost two simulations per coordinate, one-sided ones cost one. A front has converged when two steps in a
+    row reduce its cost by less than the `tolerance`.
     """
     points, cost = fronts.points, fronts.cost
     count, n = points.shape

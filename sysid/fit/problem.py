@@ -53,6 +53,10 @@ class Problem(ABC):
     space: SearchSpace
     # Causes of a lost simulation, in the order in which a candidate is counted.
     causes: tuple[str, ...] = UNNAMED_CAUSE
+    # Misfit that no user of the model would feel, over the largest value of its channel [1].
+    small: float = 0.0
+    # What to do, in words, where the model does not explain the trials.
+    remedy: str = ""
 
     # --- what a model must say ------------------------------------------------------------------------------
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,6 +142,14 @@ class FitResult(SetsContent):
         names = self.provenance.get("search", {}).get("axes", ())
         by_name = {record.name: record for record in self.parameters}
         return tuple(by_name[name] for name in names) if {*names} <= {*by_name} else ()
+
+    @property
+    def law(self) -> Mapping[str, Any]:
+        """What `sysid.workflows.kinds.open_campaign` needs to take a campaign as the fit took its own.
+
+        A fit whose record does not say so took stated values as exact.
+        """
+        return {**self.settings, "exact": self.provenance.get("search", {}).get("exact", True)}
 
     @property
     def nrmse_by_trial(self) -> FloatArray:

@@ -310,7 +310,7 @@ def run_many(
         try:
             left = {*futures}
             while left and not failed.is_set():
-                # With a timeout, so that Ctrl-C is heard on every system while this thread waits.
+                # A wait without an end keeps Ctrl-C from this thread on Windows.
                 ended, left = wait(left, _HEARING, FIRST_EXCEPTION)
                 if any(future.exception() for future in ended):
                     failed.set()

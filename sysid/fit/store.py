@@ -2,7 +2,8 @@
 
 ``fit.h5`` has every number (the population of every generation, the sets, the trajectories), ``fit.json``
 the ranked sets with settings and provenance as text (the same document that ``sysid export`` writes), and
-``summary.txt`` what a person reads first.
+``summary.txt`` what a person reads first. Every command reads ``fit.h5``; ``fit.json`` is a copy for other
+programs, and a folder whose copy states other sets is refused.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.provenance import FitDocument
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import run_record, summary
-from sysid.parameter_sets import ParameterSets, SetsMetadata
+from sysid.parameter_sets import ParameterSets, SetsDocument, SetsMetadata
 from sysid.storage import (
     FileKind,
     check_folder,
@@ -127,7 +128,11 @@ def fit_folder(path: Path) -> Path:
 
 
 def read_fit(path: str | Path) -> FitResult:
-    """Read a fit folder, or its ``fit.h5``; FitError when that is missing, foreign, damaged or cut off."""
+    """Read a fit folder, or its ``fit.h5``.
+
+    Raises FitError when that is missing, foreign, damaged or cut off, or ``fit.json`` beside it states other
+    sets.
+    """
     path = Path(path)
     file_path = path / "fit.h5" if path.is_dir() else path
     if file_path.is_file() and file_path.suffix.lower() not in (".h5", ".hdf5"):
@@ -143,6 +148,7 @@ def read_fit(path: str | Path) -> FitResult:
             SetsMetadata.parse(get_texts(file, "metadata_json"), file_path, FitError),
             **{name: group[name][()] for name in ("values", "nrmse", "at_bound", "nrmse_by_trial")},
         )
+        _check_copy(file_path.with_name("fit.json"), sets)
         return FitResult(
             **sets.content(),
             trials=tuple(map(_read_trial, numbered(file, "trials"))),
@@ -155,6 +161,30 @@ def read_fit(path: str | Path) -> FitResult:
             set_seeds=sets.seeds,
             cube=group["cube"][()],
         )
+
+
+def _check_copy(path: Path, sets: ParameterSets) -> None:
+    """Refuse a ``fit.json`` that does not state the `sets` of the fit.h5 beside it, or cannot be read."""
+    if not path.is_file():
+        return
+    remedy = "restore the file that was changed; without fit.json the folder is read as fit.h5 has it"
+    try:
+        document = SetsDocument.parse(path.read_bytes(), path, FitError)
+        copy = ParameterSets.from_document(document)
+    except (FitError, OSError, ValueError, KeyError) as error:
+        raise FitError(f"{str(error).removesuffix('; ' + SetsDocument.REMEDY)}; {remedy}") from error
+    for what in ("kind", "name", "names", "runs", "seeds", "trials", "channels"):
+        if getattr(copy, what) != getattr(sets, what):
+            raise FitError(f"{path}: states other {what} than fit.h5 beside it; {remedy}")
+    for what in ("values", "nrmse", "nrmse_by_trial", "at_bound"):
+        stated, kept = getattr(copy, what), getattr(sets, what)
+        if differing := np.argwhere(~((stated == kept) | (np.isnan(stated) & np.isnan(kept)))).tolist():
+            s, *place = differing[0]
+            name = f"{sets.names[place[0]]} of" if what in ("values", "at_bound") else f"{what} of"
+            raise FitError(
+                f"{path}: states {stated[s, *place]:g} for {name} set {s + 1}, where fit.h5 beside it has "
+                f"{kept[s, *place]:g}; {remedy}"
+            )
 
 
 def _read_stage(group: Any) -> StageHistory:

@@ -20,7 +20,6 @@ from sysid.gear.plausible import notice_contradictions, notice_slope
 from sysid.journal import note, notice
 from sysid.recording import Recording
 from sysid.trials.capture import (
-    PLANAR_LIMIT,
     CaptureFrame,
     PlanarMotion,
     SpatialMotion,
@@ -66,6 +65,8 @@ class PreparedDrop:
     # The log, for the judgement of its quality; it stays behind when the drop travels to another process.
     recording: Recording | None
     provenance: dict[str, object]
+    # (3, 3) mean rotation before the touchdown, in (x, y, z), from where the body's axes are the capture's.
+    attitude: FloatArray
 
     @property
     def slope(self) -> float:
@@ -90,8 +91,8 @@ def cost_channels(campaign: GearCampaign) -> tuple[CostChannel, ...]:
 def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDrop, ...]:
     """Load, project, filter and cut every drop of a campaign, whose logs are named relative to its file.
 
-    Raises SysidError for the first drop that cannot be used. A doubtful drop is noticed in the journal:
-    rotation out of the plane, an unlikely g, a doubtful touchdown.
+    Raises SysidError for the first drop that cannot be used. A doubtful drop is noticed in the journal: an
+    unlikely g, a doubtful touchdown.
     """
     # Several drops may lie in one long take: keep the last files read.
     read = lru_cache(maxsize=2)(partial(read_drop_log, campaign))
@@ -164,10 +165,14 @@ class _Preparation:
         gravity = campaign.vehicle.gravity
         hold = find_fall(motion, gravity, self.where, trial.release)
         levels = hold.stop > hold.start and campaign.capture.level == "release"
-        self.motion = planar_motion(motion, point, held_level(motion, hold) if levels else np.eye(3))
+        # A file's zero is where the body's axes are the capture's.
+        level = held_level(motion, hold) if levels else self.frame.matrix
+        self.motion = planar_motion(motion, point, level)
         self.flight, touchdown = fit_flight(self.motion, self.feet, hold, gravity, self.where, levels)
         self.touchdown = touchdown if trial.touchdown is None else trial.touchdown
         self.at_touchdown = self.flight.at(np.array([self.touchdown]))[0]
+        in_air = slice(hold.start, int(np.searchsorted(motion.time, touchdown)))
+        self.attitude = held_level(motion, in_air) @ self.frame.matrix.T
         self.lowpass = lowpass_of(campaign, self.motion.rate)
         # Samples that filter and difference need on both sides of the window.
         self.margin = (0 if self.lowpass is None else self.lowpass.edge_samples) + 1
@@ -177,7 +182,7 @@ class _Preparation:
         motion, flight = self.motion, self.flight
         window = self._window()
         target, spectrum = self._target(window)
-        self._doubt(window)
+        self._doubt()
         around = self.margin if _same_way(self.campaign) else 0
         initial_state = flight.at(motion.time[window.start : window.start + 1])[0]
         impact_speed = float(-self.at_touchdown[4])
@@ -209,6 +214,7 @@ class _Preparation:
                 "lost_frames_in_window": int(np.sum(~motion.valid[window])),
                 "notes": list(map(str, self.notes)),
             },
+            attitude=self.attitude,
         )
 
     def _notice(self, code: str, sentence: str, size: float) -> None:
@@ -335,17 +341,8 @@ class _Preparation:
         )
         return target, None if lowpass is None else amplitude_spectrum(raw, rate)
 
-    def _doubt(self, window: slice) -> None:
-        """Notice a rotation out of the plane, an unlikely g and a doubtful touchdown."""
-        for angle, values in (("roll", self.motion.roll), ("yaw", self.motion.yaw)):
-            largest = float(np.nanmax(np.abs(values[window])))
-            if largest > PLANAR_LIMIT:
-                self._notice(
-                    f"{angle}-out-of-plane",
-                    f"{angle} reaches {np.degrees(largest):.0f} deg, the planar model assumes less than "
-                    f"{np.degrees(PLANAR_LIMIT):.0f} deg",
-                    largest,
-                )
+    def _doubt(self) -> None:
+        """Notice an unlikely g and a doubtful touchdown."""
         measured, gravity = self.flight.measured_gravity, self.campaign.vehicle.gravity
         wrong = abs(measured / gravity - 1)
         # False of an unknown g, NaN.

@@ -13,6 +13,7 @@ from sysid.fit.kind import Course, FitOutcome, Kind, Term, Words
 from sysid.fit.nrmse import TrialTarget
 from sysid.gear.drops import PreparedDrop, prepare_drops
 from sysid.gear.model import LF_FREE, PARAMETERS, find_surface
+from sysid.gear.out_of_plane import misfit_that_leans, notice_out_of_plane
 from sysid.gear.problem import (
     CONSTANTS,
     NEVER_IN_DROPS,
@@ -47,7 +48,9 @@ def _open(campaign: GearCampaign, path: Path, threads: int | None) -> GearProble
     space = gear_space(campaign)
     # Refused before the drops are read.
     campaign.parameters.measured_ranges(PARAMETERS)
-    return GearProblem(campaign, space, prepare_drops(campaign, path), threads)
+    problem = GearProblem(campaign, space, prepare_drops(campaign, path), threads)
+    notice_out_of_plane(problem)
+    return problem
 
 
 def _begin(problem: GearProblem) -> None:
@@ -91,6 +94,9 @@ def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
     """Return the ranked sets with the numbers that follow from them."""
     campaign, sets = problem.campaign, course.sets
     stated = problem.stated
+    cause = misfit_that_leans(problem, sets.values[0])
+    if cause is not None:
+        notice(cause.code, cause.sentence, size=cause.size)
     records = parameter_records(
         problem.space,
         {name: "campaign" for name in stated if name not in CONSTANTS},

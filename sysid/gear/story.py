@@ -10,6 +10,7 @@ from sysid.fit.story import Story
 from sysid.gear.beyond_window import centre_of_mass, stopping
 from sysid.gear.drops import lowpass_of
 from sysid.gear.model import PARAMETERS, EventKind, simulate
+from sysid.gear.out_of_plane import tell_limits
 from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
 from sysid.gear.problem import ONE_TOUCHDOWN, GearProblem
 from sysid.trials.look import inspect_recording, log_quality
@@ -88,7 +89,8 @@ class GearStory(Story[GearProblem]):
         return {name: [min(values), max(values)] for name, values in spans.items()}
 
     def about(self) -> dict[str, object]:
-        """Return where the centre of mass is, seen from the stated one."""
+        """Return where the centre of mass is, seen from the stated one; tell how straight drops must fall."""
+        tell_limits(self.problem)
         return {"centre_of_mass": centre_of_mass(self.problem.drops, self.problem.campaign)}
 
     def contacts(self, trial: int, row: FloatArray) -> FloatArray:

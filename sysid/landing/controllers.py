@@ -232,12 +232,15 @@ def _fault(path: Path, error: Exception) -> str:
 def read_number(value: str, unit: str, where: str) -> float:
     """Return a number of the command line: SI, or with a unit of the dimension of `unit`."""
     try:
-        return float(value)
+        number = float(value)
     except ValueError:
         try:
-            return parse_quantity(value, unit)
+            number = parse_quantity(value, unit)
         except UnitError as error:
             raise CampaignError(f"{where}: {error}") from None
+    if not math.isfinite(number):
+        raise CampaignError(f"{where}: {value!r} is not finite; give a number, with its unit or in SI")
+    return number
 
 
 def load_controllers(path: Path) -> None:

@@ -22,7 +22,8 @@ from sysid.types import BoolArray, FloatArray
 
 Fleets = Sequence[Sequence[Drone]]
 
-# Touchdown speeds of a summary of more than four [m/s], where the map has them; else four of its own.
+# Touchdown speeds at which a map with more than four speeds is summarized [m/s], as far as the map has them.
+# A map that has none of these is summarized at four of its speeds.
 _USUAL_SPEEDS = (0.3, 0.6, 1.0, 1.5)
 
 

@@ -136,7 +136,8 @@ def join_recordings(first: Recording, second: Recording, by: str) -> tuple[Recor
     """Return one recording with the channels of both on the first clock, and the offset.
 
     `by` is a channel that both have (``"speed"``), or one of each (``"thrust:speed"``); of channels of one
-    name the first recording's is kept. A missing channel and an unsure offset are a LogError.
+    name the first recording's is kept where it has a value. A missing channel and an unsure offset are a
+    LogError.
     """
     path = second.provenance.path
     name, _, other = by.partition(":")
@@ -150,7 +151,7 @@ def join_recordings(first: Recording, second: Recording, by: str) -> tuple[Recor
     channels = dict(first.channels)
     added = []
     for key, channel in second.channels.items():
-        if key not in channels:
+        if key not in channels or not channels[key].valid.any():
             channels[key] = Channel(key, channel.unit, channel.time + offset.offset, channel.values)
             added.append(key)
     sentence = (

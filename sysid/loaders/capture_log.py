@@ -161,7 +161,8 @@ def length_factor(where: str, stated: Iterable[str], declared: str | None) -> fl
     """Return the factor to metres of a unit that is stated or declared; UnitError if they differ."""
     units = sorted({unit.strip() for unit in stated} - {""}) + ([] if declared is None else [str(declared)])
     if not units:
-        raise UnitError(f'{where}: states no length unit; declare it with length_unit = "mm" or "m"')
+        refusal = UnitError(f'{where}: states no length unit; declare it with length_unit = "mm" or "m"')
+        raise refusal.asking(length_unit="mm")
     with naming(f"{where}: length unit"):
         factors = {factor_to_si(_LENGTHS.get(unit.casefold(), unit), "m") for unit in units}
     if len(factors) > 1:

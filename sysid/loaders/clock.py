@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.errors import LogError
+from sysid.errors import LogError, SegmentError
 from sysid.journal import Finding, note
 from sysid.loaders.options import LogOptions, is_positive
 from sysid.loaders.table import Numbers
@@ -15,6 +15,9 @@ from sysid.recording import BoolArray, FloatArray
 
 # Largest number of samples that a logger leaves from an earlier run at the start of a file.
 _STALE_ROWS = 2
+# Largest time by which a row is only late, and no other run of the clock [median steps]; the largest share of
+# rows that are late or repeat a time [1]; the largest number of runs in one file.
+_LATEST, _MOST_DOUBTFUL, _MOST_SEGMENTS = 4.0, 0.2, 20
 # Advice about times that repeat: for every format, and for a format that takes a rate.
 EXPORT_FINER = "export the log again with finer times"
 DECLARE_RATE = "declare the sample rate with rate = ..."
@@ -46,15 +49,19 @@ def order_rows(
     *,
     options: LogOptions | None = None,
     stale_start: bool = False,
+    segmented: bool = False,
     coarse: str = EXPORT_FINER,
 ) -> tuple[FloatArray, list[Finding]]:
     """Return strictly increasing times [s] and notes; `numbers` keeps only the rows they belong to.
 
     A row without a time is left out; of rows that repeat one time the last is kept. `factor` turns the
     column `time_column` into seconds. With `stale_start`, one or two rows at the start whose time is beyond
-    the next are dropped. A falling time is a LogError, as is a log without times; where the `options` of a
-    format that takes ``time_back`` say ``"drop"``, rows that do not pass the latest time are left out.
-    `coarse` is the advice where a clock repeats its times.
+    the next are dropped. A few rows that come late by some sample periods are left out, because a logger
+    writes them out of order. A time that falls farther is a LogError, as is a log without times. The
+    `options` of a format that takes ``time_back`` may say ``"drop"``, which leaves out all late rows, or
+    ``"refuse"``, which leaves out none. Where a `segmented` format has a clock that starts again, only the
+    rows of the declared ``segment`` stay, and without one a SegmentError counts the segments. `coarse` is the
+    advice where a clock repeats its times.
     """
     notes: list[Finding] = []
     timed = np.isfinite(numbers.columns[time_column])
@@ -76,34 +83,80 @@ def order_rows(
         )
         numbers.keep(np.arange(time.size) >= stale)
         time = time[stale:]
-    steps = np.diff(time)
-    back = np.flatnonzero(steps < 0)
-    if back.size and (options is None or options.time_back != "drop"):
-        row = int(back[0])
-        raise LogError(
-            f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: time goes back from "
-            f"{time[row]:.12g} s to {time[row + 1]:.12g} s; "
-            "split the log there" + (' or set time_back = "drop"' if options else "")
-        )
-    if back.size:
-        later = np.append(True, time[1:] > np.maximum.accumulate(time)[:-1])
-        sentence = f"rows whose time does not pass the latest, left out: {int((~later).sum())}"
-        notes.append(note("rows-out-of-order", sentence))
-        numbers.keep(later)
-        return time[later], notes
-    repeats: BoolArray = np.append(False, steps == 0)
+    time = _rising(path, numbers, time, options, segmented, notes)
+    repeats: BoolArray = np.append(False, np.diff(time) == 0)
     if repeats.any():
-        if repeats.sum() > 0.2 * time.size and time.size > 10:
+        if repeats.sum() > _MOST_DOUBTFUL * time.size and time.size > 10:
             raise LogError(
                 f"{path}, {numbers.row_word} {numbers.lines[np.argmax(repeats)]}: {int(repeats.sum())} of "
                 f"{time.size} rows repeat the time of the row before, so the clock is too coarse; {coarse}"
-            )
+            ).asking(**({"rate": _rate_of(time)} if coarse == DECLARE_RATE else {}))
         sentence = numbers.counted("rows that repeat the time of the row before", repeats)
         notes.append(note("repeated-times", f"{sentence}; the last of each was kept"))
         last: BoolArray = np.append(~repeats[1:], True)
         numbers.keep(last)
         time = time[last]
     return time, notes
+
+
+def _rate_of(time: FloatArray) -> str | None:
+    return f"{(time.size - 1) / np.ptp(time):.4g}" if np.ptp(time) > 0 else None
+
+
+def _rising(
+    path: str,
+    numbers: Numbers,
+    time: FloatArray,
+    options: LogOptions | None,
+    segmented: bool,
+    notes: list[Finding],
+) -> FloatArray:
+    """Return the times [s] that do not fall below an earlier one, of the chosen segment; see `order_rows`."""
+    steps = np.diff(time)
+    rises, stated = steps[steps > 0], None if options is None else options.time_back
+    period = float(np.median(rises)) if rises.size else 0.0
+    if segmented and options is not None and (options.segment is not None or stated is None):
+        begins = np.flatnonzero(np.append(True, steps < -_LATEST * period))
+        if options.segment is not None or (rises.size and 1 < begins.size <= _MOST_SEGMENTS):
+            ends = np.append(begins[1:], time.size)
+            spans = [f"{time[a]:.6g} to {time[b - 1]:.6g} s" for a, b in zip(begins, ends, strict=True)]
+            lines = ", ".join(map(str, numbers.lines[begins[1:]]))
+            why = f"its clock starts again in {numbers.row_word} {lines} ({', '.join(spans)})"
+            number, said = chosen_segment(path, options.segment, begins.size, why)
+            notes += said
+            begin, end = begins[number], ends[number]
+            numbers.keep((np.arange(time.size) >= begin) & (np.arange(time.size) < end))
+            time = time[begin:end]
+    late = np.maximum.accumulate(time) - time
+    if not late.any():
+        return time
+    few = np.count_nonzero(late) <= _MOST_DOUBTFUL * time.size and late.max() <= _LATEST * period
+    if stated == "refuse" or (stated is None and not few):
+        row = int(np.argmax(np.diff(time) < 0))
+        raise LogError(
+            f"{path}, {numbers.row_word} {numbers.lines[row + 1]}: time goes back from "
+            f"{time[row]:.12g} s to {time[row + 1]:.12g} s; "
+            "split the log there" + (' or set time_back = "drop"' if options else "")
+        )
+    sentence = numbers.counted("rows whose time goes back, left out", late > 0)
+    by = f", by up to {late.max() / period:.2g} sample periods" if period else ""
+    notes.append(note("rows-out-of-order", f"{sentence}{by}"))
+    numbers.keep(late == 0)
+    return time[late == 0]
+
+
+def chosen_segment(path: str, segment: int | None, count: int, why: str) -> tuple[int, list[Finding]]:
+    """Return the place from 0 of the declared segment of a log of `count`, and a note of it.
+
+    Several segments, of which none is declared, are a SegmentError.
+    """
+    if segment is None and count > 1:
+        choose = f"choose one with segment = 1 to {count}"
+        raise SegmentError(f"{path}: has {count} segments: {why}; {choose}", count)
+    number = 1 if segment is None else segment
+    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= count:
+        raise LogError(f"{path}: segment = {segment!r}; the file has segments 1 to {count}")
+    return number - 1, [note("segment", f"segment {number} of {count}: {why}")] if count > 1 else []
 
 
 def stamp_clock(
@@ -125,8 +178,8 @@ def stamp_clock(
     together (a LogError).
     """
     if frame_column is None:
-        return order_rows(path, numbers, time_column, factor, options=options, coarse=coarse)
-    _, notes = order_rows(path, numbers, frame_column, 1.0, options=options)
+        return order_rows(path, numbers, time_column, factor, options=options, segmented=True, coarse=coarse)
+    _, notes = order_rows(path, numbers, frame_column, 1.0, options=options, segmented=True)
     frames, written = numbers.columns[frame_column], numbers.columns[time_column] * factor
     seen = np.isfinite(written)
     if seen.sum() < _FEWEST_FRAMES:
@@ -209,6 +262,24 @@ def rate_clock(path: str, rate: float, count: int, stated: FloatArray | None = N
                 f"{span:.6g} s; correct the rate or leave it out"
             )
     return time + float(stated[known[0]]) if known.size else time
+
+
+def row_clock(
+    path: str, numbers: Numbers, column: int | None, factor: float, rate: float | None, options: LogOptions
+) -> tuple[FloatArray, list[Finding]]:
+    """Return the times [s] of the rows of a table by a declared rate [Hz], else by their column, and notes.
+
+    The `column` is None in a table without times, which has a rate; `factor` as for `order_rows`.
+    """
+    if rate is not None or column is None:
+        assert rate is not None
+        stated = None if column is None else numbers.columns[column] * factor
+        time = rate_clock(path, rate, numbers.lines.size, stated)
+        return time, [note("time-from-rate", f"time rebuilt from the declared rate of {rate:g} Hz")]
+    time, notes = order_rows(
+        path, numbers, column, factor, options=options, segmented=True, coarse=DECLARE_RATE
+    )
+    return time, [*notes, *jitter_note(time)]
 
 
 def jitter_note(time: FloatArray) -> list[Finding]:

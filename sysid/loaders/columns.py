@@ -191,7 +191,7 @@ class DeclaredUnits:
         if unit is None:
             raise UnitError(
                 f'{self.path}: column "{column.label}" states no unit; ' + declare_unit(channel, expected)
-            )
+            ).asking(units={column.label: expected})
         if expected == "m/s^2":
             unit = _ACCELERATION.get(unit, unit)
         try:
@@ -200,7 +200,11 @@ class DeclaredUnits:
             turns = ""
             if expected == "rad/s" and unit.casefold() in ("hz", "1/s"):
                 turns = f'; if these are revolutions per second, declare units = {{{channel} = "rev/s"}}'
-            raise UnitError(f'{self.path}: column "{column.label}": {error}{turns}') from error
+            refusal = UnitError(f'{self.path}: column "{column.label}": {error}{turns}')
+            weights = {"g": "gf", "kg": "kgf", "lb": "lbf", "oz": "ozf"} if expected == "N" else {}
+            raise (
+                refusal.asking(units={column.label: weights[unit]}) if unit in weights else refusal
+            ) from error
 
     def command(self, column: Column) -> str:
         """Return the unit of a command, ``us``, ``dshot`` or ``1`` (a fraction); UnitError for others."""
@@ -210,7 +214,7 @@ class DeclaredUnits:
             raise UnitError(
                 f'{self.path}: command column "{column.label}" {fault}; expected us, dshot or 1, '
                 'declared for example as units = {command = "us"}'
-            )
+            ).asking(units={column.label: "command"})
         return COMMAND_UNITS[unit.casefold()]
 
     def check_used(self, columns: Sequence[Column]) -> None:
@@ -238,7 +242,7 @@ def _renamed(path: str, names: Sequence[str], columns: Mapping[str, object]) -> 
                 f"{path}: columns says that {new} is {stated!r}, which is neither a column nor its number "
                 f"from 1; found {listing(names)}"
             )
-        _, unit, _ = split_label(names[place])
+        unit = split_label(names[place])[1]
         out[place] = str(new) if unit is None else f"{new} ({unit})"
     return out
 

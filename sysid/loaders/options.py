@@ -105,7 +105,13 @@ class LogOptions:
     ] = None
     time_back: Annotated[
         str | None,
-        Option("Refuse a log whose time goes back, or drop the late rows.", choices=("refuse", "drop")),
+        Option(
+            "Drop rows whose time goes back, or refuse them; without it, only those late by some periods go.",
+            choices=("refuse", "drop"),
+        ),
+    ] = None
+    segment: Annotated[
+        int | None, Option("Which segment to read, from 1, where the clock starts again.", check=_positive)
     ] = None
 
     def declared(self) -> dict[str, Any]:
@@ -127,7 +133,6 @@ class BenchOptions(LogOptions):
         Option("Sample rate; it wins over what the file states and replaces a clock too coarse.", unit="Hz"),
     ] = None
     datasets: Annotated[Mapping[str, str] | None, Option("Signals by channel; only these are read.")] = None
-    segment: Annotated[int | None, Option("Which segment to read, counted from 1.", check=_positive)] = None
     static: Annotated[bool | None, Option("True: rows are averaged points; False: a running log.")] = None
     pulses_per_revolution: Annotated[
         float | None, Option("Pulses of the tachometer in one turn of the rotor.", check=_positive)

@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -26,11 +26,11 @@ from typing import TypeVar
 import numpy as np
 
 from sysid.errors import LogError, SysidError
-from sysid.journal import notice
+from sysid.journal import Finding, notice
 from sysid.loaders.columns import naming
 from sysid.loaders.isolation import isolated
 from sysid.loaders.options import DECLARED, Option
-from sysid.loaders.source import Source, one_line
+from sysid.loaders.source import Source, check_foreign, one_line
 from sysid.recording import Recording
 from sysid.units import parse_quantity
 
@@ -77,9 +77,9 @@ class LogFormat:
 
 # Modules in `sysid.loaders.readers`, in the order of lists and messages.
 _BUILT_IN = (
-    "rcbenchmark_csv", "load_cell_csv", "load_cell_hdf5", "ati_text", "net_ft_csv", "tdms", "lvm", "mat",
-    "motive_csv", "pose_table", "vicon_csv", "qualisys_tsv", "c3d", "ros_csv", "ros_bag",
-    "sysid_hdf5",
+    "rcbenchmark_csv", "load_cell_csv", "esc32_csv", "bitcraze_csv", "load_cell_hdf5", "ati_text",
+    "net_ft_csv", "tdms", "lvm", "mat", "motive_csv", "pose_table", "vicon_csv", "qualisys_tsv", "c3d",
+    "ros_csv", "ros_bag", "sysid_hdf5",
 )  # fmt: skip
 
 
@@ -151,6 +151,7 @@ def _detect(source: Source) -> LogFormat:
     votes = {name: entry.recognize(source) for name, entry in known.items()}
     winners = [name for name, vote in votes.items() if vote == max(votes.values()) > NO]
     if not winners:
+        check_foreign(source)
         raise LogError(
             f"{source.path}: not recognized as any log format by its content; "
             f'if it is one of {", ".join(known)}, say so with --format, or in a campaign with format = "..."'
@@ -175,6 +176,8 @@ def detect(path: str | Path) -> str:
 # Largest processor time of a load in this process: constant part [s] and part per byte of the file [s/byte];
 # an undamaged file takes a thirtieth of that time.
 _TIME, _TIME_PER_BYTE = 60.0, 2e-6
+# Largest number that a log may hold, in SI: the square of a larger one may be none.
+_LARGEST = 1e100
 
 
 class _OverdueError(BaseException):
@@ -243,6 +246,8 @@ def load(path: str | Path, *, format: str = "auto", **options: object) -> Record
             hint = _hint(str(format), known)
             raise LogError(f"{source.path}: unknown format {format!r}; known are {', '.join(known)}{hint}")
         chosen = known[format]
+    if chosen.read.__module__.startswith("sysid."):  # another package's format may be an archive
+        check_foreign(source)
     given = {name: value for name, value in options.items() if value is not None}
     unknown = sorted(set(given) - set(chosen.options))
     if unknown:
@@ -262,12 +267,32 @@ def load(path: str | Path, *, format: str = "auto", **options: object) -> Record
                 given[name] = parse_quantity(value, option.unit)
     try:
         if chosen.foreign:
-            return isolated(chosen.read.__module__, source, given)
+            return _measurable(isolated(chosen.read.__module__, source, given))
         # The warnings are of damaged numbers.
         with np.errstate(over="ignore", invalid="ignore"), _bounded_time(source.path):
-            return chosen.read(source, **given)
+            return _measurable(chosen.read(source, **given))
     except SysidError as error:
-        raise type(error)(one_line(str(error))) from error
+        error.args = (one_line(str(error)),)
+        raise
+
+
+def _measurable(recording: Recording) -> Recording:
+    """Return a recording without numbers that nothing measures, which a damaged file has."""
+    channels = dict(recording.channels)
+    for name, channel in recording.channels.items():
+        low, high = (
+            float(ends.reduce(channel.values, axis=None, initial=0.0)) for ends in (np.fmin, np.fmax)
+        )
+        if max(-low, high) > _LARGEST:
+            channels[name] = replace(
+                channel, values=np.where(np.abs(channel.values) > _LARGEST, np.nan, channel.values)
+            )
+    changed = [name for name, channel in channels.items() if channel is not recording.channels[name]]
+    if not changed:
+        return recording
+    sentence = f"numbers beyond {_LARGEST:g}, taken as missing: in {', '.join(changed)}"
+    notes = (*recording.provenance.notes, Finding("absurd-numbers", one_line(sentence)))
+    return Recording(recording.kind, channels, replace(recording.provenance, notes=notes))
 
 
 def _check_kinds(path: str, given: Mapping[str, object]) -> None:

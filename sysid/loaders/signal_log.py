@@ -66,7 +66,7 @@ class Signal:
 
     @cached_property
     def column(self) -> Column:
-        """Name and unit of the signal, as those of a table's column."""
+        """Name and unit of the signal, in the form in which a table states its columns."""
         stem, unit, guessed = split_label(self.label)
         if self.unit is not None or self.numbered:
             unit, guessed = self.unit, False
@@ -206,7 +206,7 @@ class _Clocks:
             raise LogError(
                 f"{self.path}: dataset {name} has no clock: no dataset time beside it and no attribute rate; "
                 "declare the sample rate [Hz] with rate = ..."
-            )
+            ).asking(rate=None)
         if known and (signal.inherited or self.rate is not None):
             first, length = self.shared.setdefault(hertz, (name, size))
             if abs(size - length) > max(1.0, _LENGTHS * length):
@@ -330,7 +330,7 @@ _Parse = Callable[[Source, BenchOptions], AbstractContextManager[RawSignals]]
 
 def _recording(source: Source, name: str, parse: _Parse, options: BenchOptions) -> Recording:
     with parse(source, options) as raw:  # the file stays open while its signals are read
-        channels, notes = _channels(source.path, raw, options)
+        channels, notes = _channels(source.path, raw, replace(options, segment=None))
     if not channels:
         raise LogError(f"{source.path}: has no signal with a value; the log is empty")
     kind = "load-cell" if any(channel in channels for channel in MEASURED) else "signals"

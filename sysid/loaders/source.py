@@ -32,8 +32,61 @@ _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _SEPARATOR = re.compile(rb'\A[ ]*"?sep=[^\r\n"]?"?[,;\t ]*(?=[\r\n])', re.IGNORECASE)
 # Most characters of a sentence about a log. A longer one keeps its end, which says what to do.
 _LONGEST = 1200
+# Bytes that show the encoding.
+_SAMPLE = 4096
 # Bytes that are decoded at once, and bytes of the longest line: a header of ten thousand columns is shorter.
 _PIECE, _LINE = 1 << 20, 1 << 20
+
+
+# First bytes (at a place) of files that are no log, what they are, and what to do with them.
+_WORKBOOK = "save its sheet as CSV"
+_UNPACK = "unpack it and give the log inside"
+_EXPORT = "export the numbers themselves as CSV"
+_FOREIGN = (
+    (0, b"%PDF", "a PDF", _EXPORT),
+    (0, b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an old Excel workbook or Office document", _WORKBOOK),
+    (0, b"PK\x03\x04", "a ZIP archive", _UNPACK),
+    (0, b"PK\x05\x06", "an empty ZIP archive", _UNPACK),
+    (0, b"\x1f\x8b", "a gzip archive", _UNPACK),
+    (0, b"BZh", "a bzip2 archive", _UNPACK),
+    (0, b"7z\xbc\xaf\x27\x1c", "a 7z archive", _UNPACK),
+    (0, b"Rar!\x1a\x07", "a RAR archive", _UNPACK),
+    (0, b"\xfd7zXZ\x00", "an xz archive", _UNPACK),
+    (257, b"ustar", "a tar archive", _UNPACK),
+    (0, b"\x89PNG\r\n", "a PNG image", _EXPORT),
+    (0, b"\xff\xd8\xff", "a JPEG image", _EXPORT),
+    (0, b"GIF8", "a GIF image", _EXPORT),
+    (0, b"II*\x00", "a TIFF image", _EXPORT),
+    (0, b"MM\x00*", "a TIFF image", _EXPORT),
+    (8, b"WEBP", "a WebP image", _EXPORT),
+    (8, b"AVI ", "a video", _EXPORT),
+    (4, b"ftyp", "a video or HEIC image", _EXPORT),
+    (0, b"\x93NUMPY", "an array of NumPy", _EXPORT),
+    (0, b"PAR1", "a Parquet table", _EXPORT),
+    (0, b"<!doctype html", "a web page", "download the log itself"),
+    (0, b"<html", "a web page", "download the log itself"),
+    (0, b"{\\rtf", "a document in RTF", _EXPORT),
+    (0, b"version https://git-lfs", "a pointer of Git LFS", "fetch the file itself with git lfs pull"),
+)
+# Names inside a ZIP archive that tell what it is.
+_INSIDE = (
+    (b"xl/", "an Excel workbook", _WORKBOOK),
+    (b"word/", "a Word document", _EXPORT),
+    (b"opendocument.spreadsheet", "a LibreOffice workbook", _WORKBOOK),
+    (b".npy", "arrays of NumPy", _EXPORT),
+)
+
+
+def check_foreign(source: Source) -> None:
+    """Refuse a file that is no log by what it is."""
+    head = source.head
+    start = head[:64].lstrip().lower()
+    for place, mark, what, advice in _FOREIGN:
+        if head[place : place + len(mark)] == mark or (mark[:1] == b"<" and start.startswith(mark)):
+            if mark == b"PK\x03\x04":
+                inside = ((named, do) for part, named, do in _INSIDE if part in head)
+                what, advice = next(inside, (what, advice))
+            raise LogError(f"{source.path}: is {what}, no log; {advice}")
 
 
 class Source:
@@ -158,8 +211,8 @@ def read_text(source: Source) -> Text:
     if nul >= 0:
         line = data.count(b"\n", 0, nul) + 1
         raise LogError(
-            f"{source.path}, line {line}: NUL byte: the file is binary, damaged or UTF-16 without a mark; "
-            "export it again as UTF-8 text"
+            f"{source.path}, line {line}: NUL byte: the file is binary or damaged; export it again as UTF-8 "
+            "text"
         )
     _check_lines(source.path, data)
     return Text(source.path, data, tuple(notes))
@@ -171,22 +224,27 @@ def _as_utf8(data: bytes, path: str, *, whole: bool = True) -> tuple[bytes, list
     Text is UTF-8 or UTF-16 by its mark, else UTF-8, else Windows-1252; without `whole`, it may end inside a
     character. A broken UTF-16 file is a LogError.
     """
-    notes = []
-    if not data.isascii():
+    notes, sample = [], data[:_SAMPLE]
+    # Every other byte of Latin text in UTF-16 is zero; no other text has a zero byte.
+    zeros = sample[1::2].count(0), sample[::2].count(0)
+    wide = "" if max(zeros) <= 0.4 * len(sample) or min(zeros) else ("utf-16-le", "utf-16-be")[zeros[1] > 0]
+    if wide or not data.isascii():
         marked = data[:2] in _UTF16_MARKS
         if marked:
             notes.append(note("read-as-utf-16", "read as UTF-16, as its byte-order mark says"))
-        decoder, out = codecs.getincrementaldecoder("utf-16" if marked else "utf-8-sig")(), io.BytesIO()
+        elif wide:
+            notes.append(note("read-as-utf-16", "read as UTF-16 without a mark: every other byte is zero"))
+        code = "utf-16" if marked else wide or "utf-8-sig"
+        decoder, out = codecs.getincrementaldecoder(code)(), io.BytesIO()
         try:
             for end in range(_PIECE, len(data) + _PIECE, _PIECE):
                 piece = decoder.decode(data[end - _PIECE : end], whole and end >= len(data))
                 out.write(piece.encode("utf-8"))
-            data = out.getvalue()
+            data = out.getvalue().removeprefix(codecs.BOM_UTF8)  # of a text that was marked before
         except UnicodeError as error:  # a half of a surrogate pair is refused by the encoder
-            if marked:
-                raise LogError(
-                    f"{path}: marked as UTF-16 but broken behind {out.tell()} bytes of text; save it as UTF-8"
-                ) from error
+            if marked or wide:
+                where = f"{'marked as' if marked else 'in'} UTF-16 but broken behind {out.tell()} bytes"
+                raise LogError(f"{path}: {where} of text; save it as UTF-8") from error
             data = data.decode("cp1252", errors="replace").encode("utf-8")
             notes.append(note("read-as-windows-1252", "not UTF-8: read as Windows-1252"))
     data = _SEPARATOR.sub(b"", data)

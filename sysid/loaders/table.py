@@ -35,9 +35,15 @@ _PARSED = (1 << 18, 1 << 20)
 _SMALL = 1 << 17
 # A number whose commas may separate thousands.
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
-# Unit in the header of a column of ISO 8601 times, which `stamped` has turned into microseconds.
+# Unit in the header of a column of clock times, which `stamped` has turned into microseconds: dates by ISO
+# 8601 with a time, and times of day behind any other date or none. A colon may stand before the decimals.
 STAMPS = "ISO 8601"
-_STAMP = r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?(?:[Zz]|[+-]\d\d(?::?\d\d)?)?"
+_DATED = r"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d(?::\d\d(?:[.,:]\d+)?)?(?:[Zz]|[+-]\d\d(?::?\d\d)?)?"
+_OF_DAY = r"(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4} +)?(\d{1,2}):(\d\d):(\d\d(?:[.,:]\d+)?)(?: *([AaPp])[Mm])?"
+_STAMP = f"{_DATED}|{_OF_DAY}"
+_DAY = timedelta(days=1)
+# Largest share of rows that have lost a cell, and do not leave out blank ones by habit [1].
+_FEW_SHORT = 0.05
 # Largest number of blank cells behind the last column of a row that count as trailing delimiters.
 _MOST_TRAILING = 64
 
@@ -204,10 +210,10 @@ def read_numbers(
     if not body.lines.size:
         raise empty
     numbers = Numbers(columns, body.lines, notes, open_end=open_end)
-    short = _short(path, body, least, free_text, ends)
+    short, fewest = _short(path, body, least, len(head.names), free_text, ends)
     if short.any():
         numbers.blank(short)
-        sentence = numbers.counted(f"rows with fewer than {least} cells", short)
+        sentence = numbers.counted(f"rows with fewer than {fewest} cells", short)
         notes.append(note("short-rows", f"{sentence}; taken as missing"))
     shifted = np.isin(np.arange(short.size), _shifted(path, body, head, wanted, surplus, free_text))
     if shifted.any():
@@ -224,7 +230,10 @@ def read_numbers(
 
 
 def stamped(text: Text, head: TableHead) -> tuple[Text, TableHead]:
-    """Return a table whose ISO 8601 times are microseconds since the first, and its column says so."""
+    """Return a table whose clock times are microseconds since the first, and its column says so.
+
+    A time of day that falls by more than half a day is of the next day.
+    """
     lines = (line for _, _, line in text.lines(HEADER_SEARCH, head.offset) if line.strip())
     cells = split_line(next((line for line in lines if not line.startswith("#")), ""), head.delimiter)
     stamps = [cell.strip().strip('"') for cell in cells]
@@ -234,9 +243,23 @@ def stamped(text: Text, head: TableHead) -> tuple[Text, TableHead]:
     mark = r"\s+" if head.delimiter == SPACES else head.delimiter
     cell = rf"[^{head.delimiter}\n]*{mark}"
     pattern = re.compile(rf'^((?:{cell}){{{place}}})\s*"?({_STAMP})"?\s*?(?={mark}|$)'.encode(), re.MULTILINE)
+    kind = "ISO 8601" if re.fullmatch(_DATED, stamps[place]) else "times of day"
+    latest = timedelta(0)
 
     def read(stamp: str) -> datetime:
-        return datetime.fromisoformat(stamp.replace(",", "."))
+        nonlocal latest
+        stamp = re.sub(r"(:\d\d:\d\d)[:,]", r"\1.", stamp)
+        if kind == "ISO 8601":
+            return datetime.fromisoformat(stamp)
+        if not (parts := re.fullmatch(_OF_DAY, stamp)):
+            raise ValueError(f"found {stamp!r}")
+        hour, minute, second, half = parts.groups()
+        hours = int(hour) if half is None else int(hour) % 12 + 12 * (half in "Pp")
+        time = timedelta(hours=hours, minutes=int(minute), seconds=float(second))
+        if time >= _DAY or int(minute) > 59:
+            raise ValueError(f"found {stamp!r}")
+        latest = time + round((latest - time) / _DAY) * _DAY
+        return datetime.min + _DAY + latest
 
     def count(match: re.Match[bytes]) -> bytes:
         return b"%s%d" % (match[1], (read(match[2].decode()) - first) // timedelta(microseconds=1))
@@ -246,20 +269,26 @@ def stamped(text: Text, head: TableHead) -> tuple[Text, TableHead]:
         body = pattern.sub(count, text.data[head.offset :])
     except (ValueError, TypeError, OverflowError) as error:
         raise LogError(
-            f"{text.path}: the times in column {shortened(head.names[place])!r} are not all ISO 8601 of one "
-            f"kind ({error}); write all with an offset from UTC, or none"
+            f"{text.path}: the times in column {shortened(head.names[place])!r} are not all {kind} of one "
+            f"kind ({error}); write all alike, with an offset from UTC or without"
         ) from error
     name = f"{re.sub(r' *[([].*', '', head.names[place])} ({STAMPS})"
     names = (*head.names[:place], name, *head.names[place + 1 :])
-    sentence = f"column {shortened(head.names[place])!r} has ISO 8601 times: counted from {stamps[place]}"
+    times = kind if kind == "times of day" else f"{kind} times"
+    sentence = f"column {shortened(head.names[place])!r} has {times}: counted from {stamps[place]}"
     said = (*text.notes, note("times-are-stamps", sentence))
     return Text(text.path, text.data[: head.offset] + body, said), replace(head, names=names)
 
 
 def _short(
-    path: str, body: _Rows, least: int, free_text: int | None, ends: Sequence[int]
-) -> NDArray[np.bool_]:
-    """Return which rows have too few cells; refuse a table where most have."""
+    path: str, body: _Rows, least: int, width: int, free_text: int | None, ends: Sequence[int]
+) -> tuple[NDArray[np.bool_], int]:
+    """Return which rows have too few cells, and fewer than how many these are.
+
+    A table where most rows have fewer than `least` is a LogError. A row that has as many, and fewer than its
+    table's rows usually have, lost a cell somewhere: unless many end early, as a program may leave out blank
+    cells, its numbers may not be below their names.
+    """
     lines, fields = body.lines, body.fields
     short = fields < least
     if free_text is not None:
@@ -274,7 +303,11 @@ def _short(
             f"{path}, line {lines[first]}: {fields[first]} cells where {least} are expected, as in "
             "most rows; check the delimiter and the header"
         )
-    return short
+    usual = int(np.bincount(fields).argmax())
+    lost = (fields >= least) & (fields < usual)
+    if free_text in (None, width - 1) and 0 < lost.sum() <= max(_FEW_SHORT * lost.size, 1):
+        return short | lost, usual
+    return short, least
 
 
 def promised_note(header: str, stated: object, rows: int) -> list[Finding]:

@@ -133,7 +133,8 @@ def _power_findings(channels: Mapping[str, Channel]) -> list[Finding]:
     speed, none = channels["speed"].values if "speed" in channels else np.empty(0), np.empty(0)
     if not np.isfinite(speed).any():
         return []
-    # A speed from pulses has a clock of its own, so other channels cannot be compared with it row by row.
+    # Channels of another length than the speed are left out: a speed that is counted from pulses has its own
+    # clock, so its rows are not the rows of the other channels.
     thrust, torque, voltage, current = (
         channels[name].values if name in channels and channels[name].values.size == speed.size else none
         for name in ("thrust", "torque", "voltage", "current")

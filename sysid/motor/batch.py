@@ -22,7 +22,8 @@ class SimulatedTrial:
 
     The command is u in [-1, 1] from each instant [s] on (m,). Torque and speed are wanted at `time` (n,) [s],
     strictly increasing; at the first of them the state is `initial`, a current [A] and a speed [rad/s]. The
-    supply is knots [s] and V/V_ref there, (k,) each; left out: 1.
+    supply is knots [s] and V/V_ref there, (k,) each; left out: 1. `mapped` (m, 2) are loaded speed [rad/s]
+    and drag [N·m] of the steady level of each command at V_ref; NaN or left out: Ω_0 is the line of the set.
     """
 
     command_time: FloatArray
@@ -30,6 +31,7 @@ class SimulatedTrial:
     time: FloatArray
     initial: tuple[float, float] | Literal["steady"] = "steady"
     supply: tuple[FloatArray, FloatArray] | None = None
+    mapped: FloatArray | None = None
 
 
 class SimulatedTrials:
@@ -50,6 +52,10 @@ class SimulatedTrials:
         (commands, first_command), (supplies, first_supply) = map(_end_to_end, (instants, knots))
         (joined_levels, _), (joined_ratios, _) = map(_end_to_end, (levels, ratios))
         self.excitation = (commands, joined_levels, first_command, supplies, joined_ratios, first_supply)
+        self.mapped = np.concatenate([
+            np.full((len(each), 2), np.nan) if trial.mapped is None else trial.mapped
+            for trial, each in zip(trials, levels, strict=True)
+        ])  # fmt: skip
         self.time, self.first = _end_to_end([trial.time for trial in trials])
         self.edges, _ = _end_to_end([_edges(trial.time) for trial in trials])
         steady = [isinstance(trial.initial, str) for trial in trials]
@@ -118,7 +124,7 @@ def simulate_population(
     reached = np.empty(status.shape)
     in_threads(
         kernel.integrate_population, status.size, threads,
-        kernel_rows(rows), trials.delays(len(rows), delays), *trials.excitation, trials.time,
+        kernel_rows(rows), trials.delays(len(rows), delays), trials.mapped, *trials.excitation, trials.time,
         trials.edges, trials.first, trials.starts, trials.initial, tolerance, ideal_reversal, outputs,
         status, reached,
     )  # fmt: skip

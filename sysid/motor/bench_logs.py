@@ -25,10 +25,12 @@ from sysid.trials.steady import (
     SteadyPoints,
     sign_against_speed,
     sign_of_log,
+    speed_steps,
     steady_points,
+    turning_steps,
     zero_of_steady,
 )
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 
 # Times [s] and values of a channel.
 Samples = tuple[FloatArray, FloatArray]
@@ -102,14 +104,20 @@ class BenchLog:
     second: SecondFile
     steps: trial_log.CommandSteps
     time: FloatArray  # (n,) of the rows [s]
-    # Real samples by name: signed ``speed`` [rad/s], ``torque`` [N·m], ``thrust`` [N], ``voltage`` [V], and
-    # ``current`` of the motor [A] where the campaign says that it is logged.
+    # Real samples by name: signed ``speed`` [rad/s], ``torque`` [N·m], ``thrust`` [N], ``voltage`` [V] and
+    # ``current`` of the supply, or of the motor where the campaign says so [A].
     channels: dict[str, Samples]
     window: tuple[float, float]  # the part of the log that the trial may use [s]
     doubtful: tuple[tuple[float, float], ...]  # intervals inside it whose command the logger lost [s]
     fast: bool  # whether the log is filtered
     notes: list[Finding]
     tares: dict[str, trial_log.Tare] = field(default_factory=dict)
+    # Samples of the speed that no propeller can follow [s], [rad/s]; left out of the channel.
+    dropped: Samples = (np.zeros(0), np.zeros(0))
+    # Whether the log has a command; its steps are those of the speed where it has none.
+    commanded: bool = True
+    # Largest |u| below all commands that turn the rotor, under which it stands [1].
+    standing: float = 0.0
     # Factors of the recorded torque and thrust.
     signs: dict[str, int] = field(default_factory=lambda: {"torque": 1, "thrust": 1})
 
@@ -145,34 +153,64 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     where = f"{recording.provenance.path}, trial {entry.name!r}"
     if recording.kind == "static-map":
         raise LogError(f"{where}: has averaged points, no transients; name it under curves.static")
-    command = recording["command"]
-    time, u = command.time, campaign_range(campaign).to_u(command.values, command.unit, where)
-    if not np.isfinite(u).any():
-        raise LogError(f"{where}: has no command; a motor fit needs command and speed")
-    # A neutral that jitters is a neutral, for the tare too.
-    u = np.where(np.abs(u) <= JITTER, 0.0, u)
-    steps = trial_log.command_steps(time, u)
+    raw, command = recording["speed"], recording.channels.get("command")
+    time = raw.time
+    rate, settings = 1.0 / float(np.median(np.diff(time))), campaign.filter
+    fast = settings.kind != "none" and rate >= _FAST * settings.stop_edge
+    known = np.isfinite(raw.values)
+    # The filter of a fast log needs every sample.
+    lost = np.zeros(time.size, dtype=np.bool_)
+    lost[known] = False if fast else trial_log.drop_outs(time[known], raw.values[known])
+    kept = time[known & ~lost], raw.values[known & ~lost]
+    commanded = command is not None and bool(command.valid.any())
+    if command is not None and commanded:
+        u = campaign_range(campaign).to_u(command.values, command.unit, where)
+        # A neutral that jitters is a neutral, for the tare too.
+        u = np.where(np.abs(u) <= JITTER, 0.0, u)
+        steps = trial_log.command_steps(time, u)
+    else:
+        steps = _steps_without_command(entry, kept, where)
+        u = steps.level[np.searchsorted(steps.time, time, side="right").clip(1) - 1]
     begin = float(time[0]) if entry.start is None else entry.start
+    turning = turning_steps(steps, *kept)
+    if entry.start is None and abs(steps.level[0]) < trial_log.AT_REST and turning.any():
+        # A rest shows the tare. Compared, it would count as well explained.
+        begin = float(steps.time[np.argmax(turning)])
     end = float(time[-1]) if entry.end is None else entry.end
     if not begin < end or begin > time[-1] or end < time[0]:
         raise LogError(
             f"{where}: window {begin:g} to {end:g} s lies outside the log's {time[0]:.3f} to {time[-1]:.3f} s"
         )
     window = begin, end
-    speed = _signed_speed(entry, recording, u, window, where)
+    speed = _signed_speed(entry, raw.time, raw.values, u, window, where)
     stalls = [s for s in trial_log.find_stalls(time, steps) if s.end >= window[0] and s.start <= window[1]]
-    rate, settings = 1.0 / float(np.median(np.diff(time))), campaign.filter
-    fast = settings.kind != "none" and rate >= _FAST * settings.stop_edge
     if settings.kind == "chebyshev2" and not fast:
         raise LogError(
             f"{where}: {rate:.0f} Hz is too slow for a filter whose stop band begins at "
             f'{settings.stop_edge:g} Hz; set filter.kind = "auto" to leave slow logs unfiltered'
         )
     log = BenchLog(
-        entry.name, recording, second, steps, time, {"speed": speed}, window,
-        tuple(s.doubtful for s in stalls if s.doubtful is not None), fast,
-        list(recording.provenance.notes),
+        entry.name, recording, second, steps, time, {"speed": (time[known & ~lost], speed[known & ~lost])},
+        window, tuple(s.doubtful for s in stalls if s.doubtful is not None), fast,
+        list(recording.provenance.notes), dropped=(time[lost], speed[lost]), commanded=commanded,
+        standing=_standing(steps, turning),
     )  # fmt: skip
+    inside = lost & ~trial_log.outside(time, (window,))
+    if inside.any():
+        runs = np.flatnonzero(inside & ~np.roll(inside, 1))
+        log.note(
+            "speed-drops-out",
+            f"the speed drops out {runs.size} times as no propeller can, first at {time[runs[0]]:.2f} s: "
+            f"{np.count_nonzero(inside)} samples are left out",
+        )
+    if not commanded:
+        notice(
+            "no-command",
+            "no command is logged: steps are those of the speed, u is the speed over its top. Curves, Kv and "
+            "R count as with a command; the dead time and the controller's map from command to voltage are "
+            "not known: record the command beside the speed",
+            trial=entry.name,
+        )
     _warn_of_standing(log, u)
     _add_channels(campaign, log, u)
     if "torque" not in log.channels and campaign.cost.weights.torque > 0:
@@ -194,26 +232,47 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     return log
 
 
+def _standing(steps: trial_log.CommandSteps, turning: BoolArray) -> float:
+    """Return the largest |u| under which the rotor stands, below all that turn it."""
+    size = np.abs(steps.level)
+    least = float(np.min(size[turning], initial=np.inf))
+    return float(np.max(size[~turning & (size < least)], initial=0.0))
+
+
+def _steps_without_command(entry: MotorTrial, speed: Samples, where: str) -> trial_log.CommandSteps:
+    """Return the steps of a log of one direction whose command is empty."""
+    if entry.direction == "reversal":
+        raise LogError(f"{where}: has no command; a reversal trial needs command and speed")
+    try:
+        steps = speed_steps(*speed)
+    except LogError as error:
+        raise LogError(f"{where}: has no command, and {error}; hold each throttle for a second") from None
+    sign = -1.0 if entry.direction == "reverse" else 1.0
+    return replace(steps, level=sign * steps.level)
+
+
 def _signed_speed(
-    entry: MotorTrial, recording: Recording, u: FloatArray, window: tuple[float, float], where: str
-) -> Samples:
-    """Return the known samples of the speed with the sign of the trial's direction."""
-    raw = recording["speed"]
-    trial_log.signed_speed(raw.values[~trial_log.outside(raw.time, (window,))], entry.direction, where)
-    inside = ~trial_log.outside(recording["command"].time, (window,))
+    entry: MotorTrial,
+    time: FloatArray,
+    speed: FloatArray,
+    u: FloatArray,
+    window: tuple[float, float],
+    where: str,
+) -> FloatArray:
+    """Return the speed with the sign of the trial's direction; NaN where unknown."""
+    inside = ~trial_log.outside(time, (window,))
+    trial_log.signed_speed(speed[inside], entry.direction, where)
     trial_log.check_command_direction(u[inside], entry.direction, where)
-    speed = raw.values
-    if entry.direction != "reversal":
-        speed = trial_log.signed_speed(speed, entry.direction, where)
-    known = np.isfinite(speed)
-    return raw.time[known], speed[known]
+    return speed if entry.direction == "reversal" else trial_log.signed_speed(speed, entry.direction, where)
 
 
 def _warn_of_standing(log: BenchLog, u: FloatArray) -> None:
     """Warn where the rotor stands under a command that should turn it: its unit or neutral is another."""
     raw = log.recording["speed"]
     seen = ~trial_log.outside(raw.time, (log.window,)) & np.isfinite(raw.values)
-    level = trial_log.standing_command(raw.time[seen], raw.values[seen], log.steps, log.window)
+    level = None
+    if log.commanded:
+        level = trial_log.standing_command(raw.time[seen], raw.values[seen], log.steps, log.window)
     if level is not None:
         logged = float(log.recording["command"].values[np.flatnonzero(u == level)[0]])
         notice(
@@ -229,7 +288,7 @@ def _add_channels(campaign: MotorCampaign, log: BenchLog, u: FloatArray) -> None
     raw = log.recording["speed"]
     rest = trial_log.rows_at_rest(log.time, u, np.interp(log.time, raw.time, np.nan_to_num(raw.values)))
     for name in ("torque", "thrust", "voltage", "current"):
-        if name not in log.recording.channels or (name == "current" and campaign.log.current != "motor"):
+        if name not in log.recording.channels or not log.recording[name].valid.any():
             continue
         channel = log.recording[name]
         values = channel.values
@@ -349,9 +408,8 @@ def torque_per_current(logs: Sequence[BenchLog]) -> TorquePerCurrent:
                 f"{log.where}: log.current = 'motor', but the log has no {missing}; record it, or leave "
                 "log.current out"
             )
-        channels = {**log.channels, "thrust": log.channels["current"]}
-        points = log_points(replace(log, channels=channels, tares={}))
-        pairs.append(np.column_stack([np.abs(points.thrust), np.abs(points.torque)]))
+        points = log_points(log)
+        pairs.append(np.column_stack([np.abs(points.current), np.abs(points.torque)]))
     current, torque = np.concatenate(pairs).T
     known = np.isfinite(current) & np.isfinite(torque) & (current > 0)
     current, torque = current[known], torque[known]

@@ -99,6 +99,7 @@ def _candidate(
     schedule = replace(
         template.simulated, command_time=np.concatenate([[-1.0], lead + time]),
         command=np.concatenate([[command[0]], command]), time=grid, supply=None,
+        mapped=problem.bench.curves.mapped(np.concatenate([[command[0]], command])),
     )  # fmt: skip
     trial = replace(template, simulated=schedule, target=blank, starts=(), thrust=None)
     prediction = problem.of((trial,)).predict(row)

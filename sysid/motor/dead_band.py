@@ -44,7 +44,8 @@ _FELT = 1e-6
 # Numbers of values in a profile: of the profiled parameter over its bounds, and of the same parameter around
 # its fitted value.
 _EDGES, _NEAR = 25, 17
-# Number of values of the other parameter at each of these: so many over its bounds, so many around a guess.
+# Number of values of the other parameter at each of these values: around the one that keeps the fitted ratio
+# of both parameters, and as many over the other parameter's bounds.
 _CURRENTS = 31
 # Largest relative difference of NRMSE of two dead bands that are equally good [1].
 _LIMIT = 0.01

@@ -22,10 +22,11 @@ from sysid.motor.dead_band import (
     saturation_space,
 )
 from sysid.motor.inertia import spike_inertia
-from sysid.motor.known_values import CONSTANTS, SATURATION, untested_rows
+from sysid.motor.known_values import CONSTANTS, SATURATION, Bench, untested_rows
 from sysid.motor.log_delays import MEAN_SOURCE, averaged, delay_name, log_rows
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
+from sysid.motor.stand import StandValues, stand_values
 from sysid.motor.static_curves import CurveFit, no_load_line
 from sysid.motor.targets import PreparedTrial
 from sysid.parameter_sets import (
@@ -87,6 +88,12 @@ def _treatment(trial: PreparedTrial) -> Iterator[Finding]:
         yield replace(note("logger-stalls", sentence), trials=trials, size=lost)
 
 
+def shown_by_stand(bench: Bench) -> StandValues:
+    """Return what the fitted logs give without a winding."""
+    constant = bench.values.get("torque_constant", PARAMETERS.nominal["torque_constant"])
+    return stand_values([trial.log for trial in bench.fitted], bench.curves, constant)
+
+
 def begin_fit(problem: MotorProblem) -> None:
     """Refuse a dead band that cannot be fitted, and tell what is free and what the logs showed."""
     campaign, bench, space = problem.campaign, problem.bench, problem.space
@@ -99,6 +106,24 @@ def begin_fit(problem: MotorProblem) -> None:
     )
     for fit in bench.curves.fits:
         tell(curve_sentence(fit))
+    for way, tie in bench.laws.items():
+        law = "so these levels are the map" if way in bench.curves.maps else "so the line serves"
+        tell(
+            f"supply law, {way}: V_c = k_v Ω_0(u) V/V_ref; a straight line of speed over command misses the "
+            f"{len(tie.levels) - 1} steady levels by {100 * tie.misfit:.2g} % of the top speed, {law}"
+        )
+        if way in bench.curves.maps:
+            notice(
+                "supply-law-is-a-map",
+                f"the {way} speed is no straight line of the command: the fit follows its steady levels, the "
+                f"sets carry the line, which misses them by {100 * tie.misfit:.2g} % (rms of the top speed); "
+                "the levels stand in the report",
+            )
+    shown = shown_by_stand(bench)
+    for sentence in shown.sentences():
+        tell(sentence)
+    for found in shown.findings():
+        notice(found.code, found.sentence)
     for finding in folded(finding for trial in bench.trials for finding in _treatment(trial)):
         tell(spoken(finding, len(bench.trials)))
     if bench.curves.ties and "viscous_damping" not in space.names:
@@ -193,6 +218,8 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         "curves": "c2 Ω|Ω| + c1 Ω, one pair of coefficients per direction",
         "stator_torque": "k_m I_eff - k_d Ω, positive when it drives the rotor forward",
         "static_curves": [fit.document() for fit in bench.curves.fits],
+        "supply_law": {way: tie.document(way in bench.curves.maps) for way, tie in bench.laws.items()},
+        "stand": shown_by_stand(bench).document(),
         "tolerance": FIT_TOLERANCE,
     }
     return FitOutcome(

@@ -82,8 +82,9 @@ _EVENT = 6
 _SPIN_UP_TIME = 0.1
 # Current below which the dead-time voltage fades [A].
 _DEAD_CURRENT = 0.1
-# Longest step with a term whose coefficient is constant within a step [s].
-_TERM_STEP = 5e-4
+# Longest step with a term whose coefficient is constant within a step: right after a change of the voltage
+# [s], as a share of the time since then, and by the rise of a warming resistance within the step [1].
+_TERM_STEP, _TERM_SHARE, _TERM_RISE = 5e-4, 0.05, 1e-3
 
 _GAMMA = 0.25
 _C2, _C3, _C4 = 0.386, 0.21, 0.63
@@ -112,6 +113,15 @@ def no_load_speed(command, row):
     if command < 0.0:
         return min(0.0, row[NO_LOAD + REVERSE] * command - row[NO_LOAD + REVERSE + 1])
     return 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _mapped_speed(command, mapped, row):
+    """Return Ω_0(u) [rad/s]: what a steady level `mapped` (2,) [rad/s, N·m] shows, or the line where NaN."""
+    if mapped[0] != mapped[0]:
+        return no_load_speed(command, row)
+    drag = mapped[1] + row[K_D] * mapped[0]
+    return mapped[0] + resistance(command, row) * drag / (row[K_M] * row[K_V])
 
 
 @njit(cache=True, error_model="numpy")
@@ -264,8 +274,8 @@ def _violation(current, speed, side, in_band, over, rising, i_sat, omega_min, k_
 
 @njit(cache=True, error_model="numpy")
 def integrate(
-    row, command_time, command, supply_time, supply_ratio, begin, end, start, current, speed, tolerance,
-    ideal, most_steps, times, out, samples, speeds, edges, charges,
+    row, command_time, command, mapped, supply_time, supply_ratio, begin, end, start, current, speed,
+    tolerance, ideal, most_steps, times, out, samples, speeds, edges, charges,
 ):  # fmt: skip
     """Simulate one trial from `begin` to `end` [s] and fill the output arrays; an empty one asks for nothing.
 
@@ -273,6 +283,8 @@ def integrate(
     ----------
     row : (n_reads,) what `READS` names [SI]
     command_time, command : (m,) instants [s], not yet delayed, and u in [-1, 1] from each instant on
+    mapped : (m, 2) loaded speed [rad/s] and drag [N·m] of the steady level of each command at V_ref, from
+        which its Ω_0 follows; NaN: from the line a u + b sign(u)
     supply_time, supply_ratio : (k,) knots [s] of V/V_ref, linear between them, constant outside
     begin, end : first and last time of the trial [s]
     start : AS_GIVEN or STEADY; the former takes `current` [A] and `speed` [rad/s]
@@ -308,7 +320,7 @@ def integrate(
 
     speed_scale = 1e-3
     for i in range(n_command):
-        speed_scale = max(speed_scale, abs(no_load_speed(command[i], row)))
+        speed_scale = max(speed_scale, abs(_mapped_speed(command[i], mapped[i], row)))
     torque_scale = inertia * speed_scale / _SPIN_UP_TIME
     speed_floor = 0.1 * speed_scale
     current_floor = 0.1 * min(torque_scale / k_m, k_v * speed_scale / res)
@@ -325,7 +337,7 @@ def integrate(
     while True:
         # The voltage is linear in time until the next command or the next knot of the supply.
         level = command[at_command]
-        base = k_v * no_load_speed(level, row)
+        base = k_v * _mapped_speed(level, mapped[at_command], row)
         cold = resistance(level, row)
         t_break = t_end
         if at_command + 1 < n_command:
@@ -375,7 +387,10 @@ def integrate(
             volt = volt_segment + volt_rate * (t - t_segment)
             res = cold * (1.0 + warming * heat)
             if drop != 0.0 or warming != 0.0:
-                step = min(step, _TERM_STEP)
+                longest = max(_TERM_STEP, _TERM_SHARE * (t - t_segment))
+                if warming * current * current * longest > _TERM_RISE:
+                    longest = max(_TERM_STEP, _TERM_RISE / (warming * current * current))
+                step = min(step, longest)
                 last = last and step == t_break - t
             if drop != 0.0:
                 more, slope = _dead_time(step, level, current, volt - k_v * speed, res, ind, drop)
@@ -503,8 +518,9 @@ def integrate(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def integrate_population(
-    first_job, last_job, rows, delays, command_time, command, command_first, supply_time, supply_ratio,
-    supply_first, samples, edges, first, starts, initial, tolerance, ideal, out, status, reached,
+    first_job, last_job, rows, delays, mapped, command_time, command, command_first, supply_time,
+    supply_ratio, supply_first, samples, edges, first, starts, initial, tolerance, ideal, out, status,
+    reached,
 ):  # fmt: skip
     """Simulate every candidate on every trial: stator torque averaged over each cell, speed at its sample.
 
@@ -527,6 +543,7 @@ def integrate_population(
             row,
             command_time[command_first[j] : command_first[j + 1]],
             command[command_first[j] : command_first[j + 1]],
+            mapped[command_first[j] : command_first[j + 1]],
             supply_time[supply_first[j] : supply_first[j + 1]],
             supply_ratio[supply_first[j] : supply_first[j + 1]],
             time[0], time[time.size - 1], starts[j], initial[j, 0], initial[j, 1], tolerance, ideal,

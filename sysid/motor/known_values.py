@@ -15,13 +15,16 @@ from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, check_
 from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_curves
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
-from sysid.motor.static_curves import no_load_line
+from sysid.motor.static_curves import NoLoadTie, no_load_line, turns
 from sysid.motor.targets import PreparedTrial, prepare_run
 from sysid.parameters import SearchSpace
+from sysid.types import Rotation
 
 # Loaded speed at full command over the unloaded one, V_ref/k_v [1], about: a guess for motors of unknown Kv,
 # on which only the scale of a result depends.
 _LOADED_SHARE = 0.8
+# Speed over the fastest steady point from which a trial is beyond the static curves [1].
+_BEYOND = 1.1
 # Limits of Kv V_ref over the speed at full command [1], which is 1 to a few percent without propeller and 1.1
 # to 2 with one.
 _KV_NO_LOAD, _KV_LOADED = (0.7, 1.5), (0.8, 2.8)
@@ -50,6 +53,11 @@ class Bench:
     def fitted(self) -> tuple[PreparedTrial, ...]:
         """Trials of the dynamic fit: use "fit", and no reversal."""
         return tuple(trial for trial in self.trials if in_search(trial.entry))
+
+    @property
+    def laws(self) -> dict[Rotation, NoLoadTie]:
+        """Supply laws from loaded levels of logged commands, by direction."""
+        return self.curves.ties if all(trial.log.commanded for trial in self.fitted) else {}
 
     @property
     def banded(self) -> tuple[PreparedTrial, ...]:
@@ -89,12 +97,30 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     # Freed together with R, the constants are arbitrary whatever they start from.
     scale_known &= current is not None or not {*CONSTANTS} & {*(chosen.free or ())}
     trials = tuple(
-        prepare_run(campaign, entry, log, reference) for entry, log in zip(campaign.trials, logs, strict=True)
+        prepare_run(campaign, entry, log, curves) for entry, log in zip(campaign.trials, logs, strict=True)
     )
+    _notice_extrapolation(trials, curves)
     guesses = {"reference_voltage"} if guessed else set()
     if not rated:
         guesses |= {*CONSTANTS} & {*stated}
     return Bench(trials, curves, values, measured, stated, scale_known, frozenset(guesses))
+
+
+def _notice_extrapolation(trials: Sequence[PreparedTrial], curves: StaticCurves) -> None:
+    """Notice trials that turn faster than the static points, where thrust and torque are extrapolated."""
+    for direction, points in curves.loaded.items():
+        fastest = float(np.max(np.abs(points.speed[turns(points.speed, direction)])))
+        for trial in trials:
+            speed = trial.target.measured[trial.target.valid[:, 1], 1]
+            top = float(np.max(np.abs(speed[turns(speed, direction)]), initial=0.0))
+            if top > _BEYOND * fastest:
+                notice(
+                    "beyond-static-points",
+                    f"turns at up to {top:.4g} rad/s, the {direction} steady points end at {fastest:.4g} "
+                    "rad/s: beyond them thrust and torque are extrapolated; record steady points up to "
+                    "full command",
+                    trial=trial.entry.name,
+                )
 
 
 def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:

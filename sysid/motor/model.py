@@ -10,8 +10,10 @@ curves::
     T(Ω), τ_aero(Ω) = c2 Ω|Ω| + c1 Ω               Ω_0(u) = a u + b sign(u)
 
 with one pair of coefficients per direction (a cambered propeller is weaker in reverse); the forward ones
-serve Ω ≥ 0 and u > 0. A load cell under the motor feels the stator's reaction k_m I_eff − k_d Ω, positive
-when the motor drives the rotor forward, and the thrust T, positive along the forward thrust.
+serve Ω ≥ 0 and u > 0. V is the measured supply. A fit takes Ω_0(u) from the steady levels of its logs where
+they are no line: Ω_0 = Ω_s + R (τ_s + k_d Ω_s)/(k_m k_v) of a level with speed Ω_s and drag τ_s. A load
+cell under the motor feels the stator's reaction k_m I_eff − k_d Ω, positive when the motor drives the rotor
+forward, and the thrust T, positive along the forward thrust.
 
 Terms on trial, zero by default, for `sysid ladder` (`sysid.motor.kind`)::
 
@@ -227,8 +229,9 @@ def simulate(
     start = kernel.STEADY if isinstance(initial, str) else kernel.AS_GIVEN
     out = np.empty((t.size, 4))
     status, reached, _ = kernel.integrate(
-        kernel_rows(pack(parameters)), instants, levels, knots, ratio, t[0], t[-1], start, current, speed,
-        tolerance, ideal_reversal, kernel.MAX_STEPS, t, out, *(np.empty(0),) * 4,
+        kernel_rows(pack(parameters)), instants, levels, np.full((levels.size, 2), np.nan), knots, ratio,
+        t[0], t[-1], start, current, speed, tolerance, ideal_reversal, kernel.MAX_STEPS, t, out,
+        *(np.empty(0),) * 4,
     )  # fmt: skip
     if status != kernel.DONE:
         raise FitError(

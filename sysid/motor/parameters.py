@@ -58,12 +58,12 @@ def instrument_rows() -> list[Parameter]:
     rows = (
         ("command_delay", "t_d", 0.2, "Time from a command in the log to the voltage, instruments included; "
          "no motor physics.", "0 on one clock; 30 to 80 ms seen on thrust stands"),
-        ("torque_sensor_delay", "t_τ", 0.1,
+        ("torque_sensor_delay", "t_τ", 0.3,
          f"Time by which the torque sensor trails the speed sensor{applied}",
-         "0 on one clock; 30 ms seen on thrust stands"),
-        ("torque_sensor_lag", "T_τ", 0.05,
+         "0 on one clock; 30 ms seen on thrust stands, 0.2 s where torque comes at 7 Hz"),
+        ("torque_sensor_lag", "T_τ", 0.3,
          f"Time constant of a first-order lag of the torque sensor{applied}",
-         "0 for a load cell; 10 to 20 ms seen on thrust stands"),
+         "0 for a load cell; 10 to 20 ms seen on thrust stands, 0.1 s where torque comes at 7 Hz"),
         ("speed_sensor_lag", "T_Ω", 0.05, f"Time constant of a first-order lag of the speed sensor{applied}",
          "0: logs of 10 ms rows hardly distinguish it from L/R; free it to see what it buys"),
     )  # fmt: skip

@@ -28,6 +28,7 @@ from sysid.motor.parameters import SENSORS
 from sysid.motor.static_curves import NoLoadTie, no_load_line
 from sysid.motor.targets import PreparedTrial, measured_spectrum
 from sysid.parameters import SearchSpace
+from sysid.trials.bench_log import STANDS
 from sysid.types import BoolArray, FloatArray, IntArray, Rotation
 
 # Relative local error of the simulations of a search: 1e-5 keeps the worst candidate within 0.01 % NRMSE.
@@ -65,6 +66,8 @@ class MotorProblem(Problem):
     # By the kernel's status. Too expensive: some hundred times the steps of an ordinary trial, a bound that a
     # resumed fit meets at the same step, and below 0.1 s.
     causes = ("no_steady_state", "too_expensive", "not_finite", "step_collapsed")
+    # Load cells and tachometers of thrust stands are accurate to 0.5 % and better.
+    small = 2e-3
 
     @classmethod
     def build(
@@ -80,6 +83,16 @@ class MotorProblem(Problem):
         chosen = {*space.names, *campaign.parameters.fixed}
         ties = {d: tie for d, tie in bench.curves.ties.items() if not {*no_load_line(d)} & chosen}
         return cls(campaign, bench, space, trials, tuple(t.target for t in trials), ties, threads)
+
+    @property
+    def remedy(self) -> str:  # type: ignore[override]
+        """What slow logs give although the model does not explain them."""
+        if all(trial.log.fast for trial in self.prepared):
+            return ""
+        return (
+            "thrust, torque and time constants of the stand do not depend on it: use those; for R and L "
+            "record torque and speed at 1 kHz or more"
+        )
 
     # --- what is compared -----------------------------------------------------------------------------------
 
@@ -216,8 +229,8 @@ class MotorProblem(Problem):
         """(T, 2) standard deviation of the sensors' noise as compared [channel units]; NaN: none shows.
 
         From the median third difference, in which a signal that is smooth most of the time leaves little.
-        White noise that has passed the filter of a fast log leaves less there, too, by what the filter's taps
-        say.
+        While the rotor stands, a sensor may have less noise or none. White noise that has passed the filter
+        of a fast log leaves less there, too, by what the filter's taps say.
         """
         if self.stated_noise is not None:
             return self.stated_noise
@@ -225,8 +238,9 @@ class MotorProblem(Problem):
         for t, target in enumerate(self.targets):
             share = filtered_correlation(target, 3)
             gain = 20.0 * share[0] - 30.0 * share[1] + 12.0 * share[2] - 2.0 * share[3]
+            turns = turning_instants(target)
             for c in range(len(CHANNELS)):
-                known = target.measured[target.valid[:, c], c]
+                known = target.measured[target.valid[:, c] & turns, c]
                 if len(known) >= 20:
                     sigma = float(np.median(np.abs(np.diff(known, 3)))) / 0.6745 / np.sqrt(gain)
                     out[t, c] = sigma if sigma > 0 else np.nan
@@ -362,6 +376,16 @@ class MotorProblem(Problem):
 def _causes(failed: BoolArray, status: IntArray) -> NDArray[np.int8]:
     """Return why trials (P, T) failed; one that ran to its end failed for an NRMSE that is not finite."""
     return np.where(failed, np.where(status > 0, status, kernel.NOT_FINITE), 0).astype(np.int8)
+
+
+def turning_instants(target: MotorTarget) -> BoolArray:
+    """Return True (n,) where the rotor does not stand, as far as the speed shows it."""
+    speed = np.where(target.valid[:, 1], np.abs(target.measured[:, 1]), np.nan)
+    seen = np.isfinite(speed)
+    if not seen.any():
+        return np.ones(len(speed), dtype=np.bool_)
+    near = np.interp(target.time, target.time[seen], speed[seen])
+    return np.asarray(near > STANDS * np.max(near), dtype=np.bool_)
 
 
 def filtered_correlation(target: MotorTarget, lags: int) -> FloatArray:

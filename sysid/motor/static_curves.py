@@ -13,7 +13,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import isotonic_regression, least_squares
 
 from sysid.errors import FitError
 from sysid.types import BoolArray, FloatArray, Rotation
@@ -71,6 +72,13 @@ class CurveFit:
             y.size, int(np.count_nonzero(~inlier)), correlation,
         )  # fmt: skip
 
+    def at(self, speed: float) -> tuple[float, float]:
+        """Return thrust [N] or torque [N·m] at a speed [rad/s], and its standard error."""
+        columns = np.array([speed * abs(speed), speed])
+        errors = np.outer(self.standard_errors, self.standard_errors)
+        covariance = errors * np.array([[1.0, self.correlation], [self.correlation, 1.0]])
+        return float(columns @ self.coefficients), float(np.sqrt(columns @ covariance @ columns))
+
     @property
     def parameters(self) -> dict[str, float]:
         """The two coefficients under their names in the motor's parameter table [SI]."""
@@ -94,7 +102,7 @@ class NoLoadTie:
     """No-load line of loaded steady points, which moves with R: Ω_0 = Ω + R (τ + k_d Ω)/(k_m k_v).
 
     `columns` (n, 2) are u and sign(u) of the points, times V/V_ref; `points` (n, 2) are their loaded speed Ω
-    [rad/s] and drag τ [N·m].
+    [rad/s] and drag τ [N·m]. At commands up to `standing` |u| [1] the rotor stands.
 
     Notes
     -----
@@ -105,6 +113,47 @@ class NoLoadTie:
 
     columns: FloatArray
     points: FloatArray
+    standing: float = 0.0
+
+    @cached_property
+    def levels(self) -> FloatArray:
+        """(k, 3) the map of the supply law: |u|, and |Ω| [rad/s] and |τ| [N·m] at V_ref, which never fall.
+
+        A level that was commanded several times is one; the first one is that of a rotor that stands.
+        """
+        size = np.abs(self.columns)
+        u, index = np.unique(np.round(size[:, 0] / size[:, 1], 6), return_inverse=True)
+        share = self.weights / np.bincount(index, self.weights)[index]
+        means = [np.bincount(index, share * np.abs(each) / size[:, 1]) for each in self.points.T]
+        rising = [isotonic_regression(each, weights=np.bincount(index, self.weights)).x for each in means]
+        map_ = np.column_stack([u, *rising])
+        return np.vstack([[min(self.standing, u[0] - 1e-3), 0.0, 0.0], map_])
+
+    @cached_property
+    def misfit(self) -> float:
+        """Distance (rms) of the levels from a straight line over u, over the top speed [1]."""
+        u, speed, _ = self.levels[1:].T
+        slope, intercept = self.lines[0]
+        return float(np.sqrt(np.mean((slope * u + intercept - speed) ** 2)) / np.max(speed))
+
+    def document(self, is_map: bool) -> dict[str, object]:
+        """Return the supply law as a result states it: its levels, and whether they or a line serve."""
+        columns = ["command [1]", "loaded speed at V_ref [rad/s]", "drag at V_ref [N·m]"]
+        law = "map" if is_map else "line"
+        return {
+            "law": law, "misfit_of_line": self.misfit, "line": self.lines[0].tolist(), "columns": columns,
+            "levels": self.levels.tolist(),
+        }  # fmt: skip
+
+    def mapped(self, u: FloatArray) -> FloatArray:
+        """Return loaded speed [rad/s] and drag [N·m] (m, 2) at V_ref of commands u (m,), monotone in |u|."""
+        levels, size = self.levels, np.abs(u)
+        curves = PchipInterpolator(levels[:, 0], levels[:, 1:])
+        inside = curves(np.clip(size, levels[0, 0], levels[-1, 0]))
+        slope = (levels[-1, 1:] - levels[-2, 1:]) / (levels[-1, 0] - levels[-2, 0])
+        return np.asarray(
+            np.sign(u)[:, None] * (inside + np.maximum(size - levels[-1, 0], 0.0)[:, None] * slope)
+        )
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -165,19 +214,21 @@ def fit_speed_curve(
     value: ArrayLike,
     *,
     zero_rows: int = 0,
+    zero_error: float = 0.0,
 ) -> CurveFit:
     """Fit c2 Ω|Ω| + c1 Ω to the points of one direction.
 
     Steady speeds (n,) [rad/s], and thrust [N] or aerodynamic torque [N·m] (n,) with the sign of the speed;
     NaN pairs, and points that turn the other way, are left out. `zero_rows` are the points at rest whose mean
-    was subtracted as the tare: its error, common to all, counts in the standard errors; 0: an exact zero.
+    was subtracted as the tare: its error, common to all, counts in the standard errors; 0: an exact zero. A
+    `zero_error` is that error itself [N] or [N·m].
     FitError when fewer than three points at different speeds remain, or the curve has the wrong sign.
     """
     unit = "N" if quantity == "thrust" else "N·m"
     omega, y = _of_direction(direction, speed, value)
     columns = np.column_stack([omega * np.abs(omega), omega])
     units = (f"{unit}·s²/rad²", f"{unit}·s/rad")
-    fit = _robust_line(quantity, direction, columns, y, units, zero_rows)
+    fit = _robust_line(quantity, direction, columns, y, units, zero_rows, zero_error)
     top = float(np.max(np.abs(omega)))
     at_top = (fit.coefficients[0] * top + fit.coefficients[1]) * top
     if not at_top > 0:
@@ -219,6 +270,7 @@ def _robust_line(
     y: FloatArray,
     units: tuple[str, str],
     zero_rows: int = 0,
+    zero_error: float = 0.0,
 ) -> CurveFit:
     """Fit y (n,) by two columns (n, 2), of which the first differs wherever speed or command differs."""
     different = np.unique(columns[:, 0]).size
@@ -243,10 +295,11 @@ def _robust_line(
         (small * sigma / float(np.mean(curvature))) ** 2 * float(np.sum(pull**2)) / max(1.0, y.size - 2.0)
     )
     covariance = spread * np.linalg.inv(scaled.T @ scaled)
-    if zero_rows:
+    if zero_rows or zero_error:
         # A tare from a few points of the same noise shifts all others together.
         shift = np.linalg.solve(scaled.T @ (curvature[:, None] * scaled), scaled.T @ curvature)
-        covariance = covariance + spread / zero_rows * np.outer(shift, shift)
+        of_rows = spread / zero_rows if zero_rows else 0.0
+        covariance = covariance + max(of_rows, zero_error**2) * np.outer(shift, shift)
     coefficients, errors = start / size, np.sqrt(np.diag(covariance)) / size
     return CurveFit.of(quantity, direction, coefficients, errors, covariance, units, y, residual, inlier)
 

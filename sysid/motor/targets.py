@@ -13,6 +13,7 @@ from sysid.filters import ChebyshevLowpass, Spectrum, amplitude_spectrum
 from sysid.motor.batch import SimulatedTrial
 from sysid.motor.bench_logs import BenchLog, Samples
 from sysid.motor.cost import MotorTarget
+from sysid.motor.curves import StaticCurves
 from sysid.motor.parameters import PARAMETERS
 from sysid.trials.bench_log import outside
 from sysid.trials.steady import SETTLE, find_starts
@@ -73,7 +74,7 @@ class PreparedTrial:
 
 
 def prepare_run(
-    campaign: MotorCampaign, entry: MotorTrial, log: BenchLog, reference_voltage: float
+    campaign: MotorCampaign, entry: MotorTrial, log: BenchLog, curves: StaticCurves
 ) -> PreparedTrial:
     """Filter a log where it is fast, choose the grids, and join command schedule and supply."""
     window, begin = log.window, float(log.time[0])
@@ -107,8 +108,8 @@ def prepare_run(
         **({} if log.second is None else {"second_log": log.second}),
         "notes": [str(note) for note in log.notes],
     }
-    supply = _supply(log, reference_voltage)
-    simulated = SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", supply)
+    supply, mapped = _supply(log, curves.reference_voltage), curves.mapped(log.steps.level)
+    simulated = SimulatedTrial(log.steps.time, log.steps.level, grid, "steady", supply, mapped)
     return PreparedTrial(entry, log, simulated, target, starts, thrust, provenance)
 
 
@@ -185,8 +186,13 @@ def _slow_target(log: BenchLog, name: str, start: float) -> MotorTarget:
         return out
 
     measured = _compared(log, rows, at_rows)
+    seen = np.isfinite(measured)
+    # What drops out is shown, and does not count.
+    place = np.searchsorted(rows, log.dropped[0])
+    inside = (place < rows.size) & ~outside(log.dropped[0], (log.window,))
+    measured[place[inside], 1] = log.dropped[1][inside]
     size = int(np.ceil((rows[-1] - start) / step)) + 2
-    valid = np.isfinite(measured) & outside(rows, log.doubtful)[:, None]
+    valid = seen & outside(rows, log.doubtful)[:, None]
     return MotorTarget(name, rows, measured, valid, start, step, size, np.zeros(0))
 
 

@@ -157,6 +157,23 @@ def curve_views(stated: Sequence[Mapping[str, Any]], points: Points) -> tuple[li
     return loaded, bare
 
 
+def supply_view(direction: str, law: Mapping[str, Any]) -> View:
+    """Return the loaded speed of the steady levels over the command, and the straight line through them.
+
+    `law` is the document of `sysid.motor.static_curves.NoLoadTie`, of levels that rise in |u|.
+    """
+    (u, speed, _), (slope, intercept) = np.array(law["levels"]).T, law["line"]
+    line = Curve("straight line", slope * u + intercept, "faint", x=u, scaled=False)
+    curves = [line, Curve("steady levels", speed, "ink", "dots", x=u)]
+    if law["law"] == "map":
+        curves.insert(1, Curve("map", speed, "best", x=u))
+    panels = [Panel("loaded speed at V_ref", "rad/s", curves)]
+    off = Curve("off", speed[1:] - slope * u[1:] - intercept, "best", "dots", x=u[1:])
+    panels.append(Panel("levels off the straight line", "rad/s", [off], low=True))
+    title = f"supply law, {direction}"
+    return View(title, title, np.array([]), panels, axis=("command |u|", "1"))
+
+
 def _value(quantity: str, coefficients: Sequence[float], x: FloatArray) -> FloatArray:
     first, second = coefficients
     if quantity == "no_load":

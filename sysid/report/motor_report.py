@@ -12,7 +12,7 @@ from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.drawing import USES
 from sysid.report.fit_report import FitReport, titled
-from sysid.report.html import NOTHING, Html, columns, definitions, paragraph
+from sysid.report.html import NOTHING, Html, bullets, columns, definitions, paragraph
 from sysid.report.motor_figures import (
     command_panel,
     curve_views,
@@ -20,9 +20,10 @@ from sysid.report.motor_figures import (
     reversal_commands,
     reversal_view,
     spike_view,
+    supply_view,
     thrust_panel,
 )
-from sysid.report.plots import Panel, View, figure_of, interactive, printed
+from sysid.report.plots import Curve, Panel, View, figure_of, interactive, printed
 from sysid.types import FloatArray
 
 # Number of reversals on a printed page.
@@ -39,7 +40,8 @@ class MotorReport(FitReport):
         "whether both are right."
     )
     sections = (
-        ("parameters",), ("measured_against_simulated",), ("static_curves",), ("reversals",),
+        ("parameters",), ("stand", "supply_law"), ("measured_against_simulated",), ("static_curves",),
+        ("reversals",),
         ("spikes", "trial_errors"), ("ladder",), ("convergence", "spread"), ("profiles", "correlation"),
         ("validation", "filter_response"), ("provenance",),
     )  # fmt: skip
@@ -50,13 +52,49 @@ class MotorReport(FitReport):
         return motor_sketch()
 
     def more_panels(self, fit: FitResult, trial: TrialResult) -> list[Panel]:
-        """Return the thrust, which the fit does not compare, and the command."""
+        """Return the speed with what is left out of it, the thrust that is not compared, and the command."""
         every, out = np.ones(len(trial.time), dtype=bool), []
+        c = fit.channels.index("speed")
+        dropped = np.isfinite(trial.measured[:, c]) & ~trial.valid[:, c]
+        if dropped.any():
+            speed = trial.measured[:, c]
+            curves = [Curve("measured", np.where(dropped, np.nan, speed), "ink")]
+            curves.append(Curve("left out", np.where(dropped, speed, np.nan), "best", "dots"))
+            out.append(Panel("speed with what is left out", "rad/s", curves))
         if trial.thrust is not None and np.isfinite(trial.thrust).any():
             out.append(thrust_panel(trial, self.simulated_thrust(fit, trial), every, "thrust, not compared"))
         if trial.commands is not None:
             out.append(command_panel(trial, every))
         return out
+
+    @titled(
+        "Before any winding",
+        "What steady levels and steps of the speed give by themselves: curves, time constants, lost power.",
+    )
+    def stand(self) -> Html:
+        """Return what the logs give without R and L."""
+        said = self.fit.settings.get("stand", {}).get("sentences", ())
+        return bullets(said) if said else paragraph("This fit did not look at them.", "note")
+
+    @titled(
+        "Supply law",
+        "Loaded speed of the steady levels over the command, at the reference voltage. Where a straight line "
+        "misses them, the levels are the law: V_c = k_v Ω_0(u) V/V_ref, with the measured voltage V.",
+    )
+    def supply_law(self) -> Html:
+        """Return the map from command to speed."""
+        laws = self.fit.settings.get("supply_law", {})
+        views = [supply_view(direction, law) for direction, law in laws.items()]
+        if not views:
+            return paragraph(
+                "No command is logged, or the campaign or a log without propeller gives the no-load speed.",
+                "note",
+            )
+        rows = [
+            (direction, f"{law['law']}; a line misses the levels by {100 * law['misfit_of_line']:.2g} %")
+            for direction, law in laws.items()
+        ]
+        return interactive(views, "supply law") + definitions(rows, "which law explains the steady levels")
 
     @titled(
         "Static curves",

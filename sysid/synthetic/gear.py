@@ -151,6 +151,8 @@ class _Truth:
     start: FloatArray
     coordinates: FloatArray
     travel: float
+    # y (n,) [m] and n rotations from the body to (x, y, z), where the simulator knows space.
+    pose: tuple[FloatArray, Rotation] | None
 
 
 def synthesize_gear(
@@ -174,7 +176,8 @@ def synthesize_gear(
     of Table II for the `surface`, a friction law, but for `parameters` [SI]. At least one of the `drops`, by
     default `LF_DROPS` or `HF_DROPS`, has ``use = "fit"``. The campaign's `name` is ``synthetic-lf`` when left
     out. `simulate` drops the true gear, with the arguments of `sysid.gear.model.simulate`: another simulator
-    may have physics that the model lacks. `lab` are fields of `CaptureLab`.
+    may have physics that the model lacks. Where what it returns has a `pose`, y (n,) [m] and n rotations from
+    the body to (x, y, z), the drop leaves the plane as that says. `lab` are fields of `CaptureLab`.
     """
     model.find_surface(surface)
     check_folder(folder, force=force, marker=TRUTH_FILE, error_type=ExportError)
@@ -270,12 +273,16 @@ def _simulate(
         raise CampaignError(
             f"drop {plan.name}: the true parameters cannot be simulated ({run.status.text}); change them"
         )
-    coordinates = np.tile(start[:3], (frames, 1))
+    coordinates = np.tile(run.state[0, :3], (frames, 1))
     coordinates[falling] = run.state[1:, :3]
     window = time[falling] <= release + fall + 0.7
     along = np.array([math.cos(plan.slope), -math.sin(plan.slope)])
     travel = float(np.max((coordinates[falling][window][:, :2] - start[:2]) @ along))
-    return _Truth(plan, first_frame, time, release, release + fall, height, start, coordinates, travel)
+    pose = getattr(run, "pose", None)
+    if pose is not None:  # the first pose is of the release, before which the body hangs in it
+        which = np.cumsum(falling)
+        pose = pose[0][which], pose[1][which]
+    return _Truth(plan, first_frame, time, release, release + fall, height, start, coordinates, travel, pose)
 
 
 def _record(
@@ -285,16 +292,19 @@ def _record(
     count, frame, hinge, rate = len(truth.time), lab.frame, lab.hinge, lab.rate
     noise = (lab.noise_position, lab.noise_angle)
     x, z, pitch = truth.coordinates.T
-    elapsed = np.maximum(0.0, truth.time - truth.touchdown)
-    # Off the plane: nothing before the contact, then a small wobble and a slow drift.
-    swing = np.sin(2 * math.pi * 1.7 * elapsed)
-    roll, yaw = lab.wobble * swing, -0.7 * lab.wobble * np.sin(2 * math.pi * 1.1 * elapsed)
-    aside = 0.031 + 0.004 * elapsed
-    planar = Rotation.from_euler("YXZ", np.column_stack([pitch, roll, yaw]))
+    if truth.pose is None:
+        elapsed = np.maximum(0.0, truth.time - truth.touchdown)
+        # Off the plane: nothing before the contact, then a small wobble and a slow drift.
+        swing = np.sin(2 * math.pi * 1.7 * elapsed)
+        roll, yaw = lab.wobble * swing, -0.7 * lab.wobble * np.sin(2 * math.pi * 1.1 * elapsed)
+        aside = 0.031 + 0.004 * elapsed
+        turn = Rotation.from_euler("YXZ", np.column_stack([pitch, roll, yaw]))
+    else:
+        aside, turn = truth.pose
     into_page = Rotation.from_matrix(frame.matrix.T)
     axes = Rotation.from_euler("YXZ", _BODY_AXES_DEG, degrees=True)
     # While the drone hangs level, only the definition of the rigid body turns it against the room.
-    rotation = into_page * planar * axes * into_page.inv()
+    rotation = into_page * turn * axes * into_page.inv()
     centre = hinge + np.column_stack([x, aside, z]) @ frame.matrix
     origin = centre - rotation.apply(np.array(_CENTRE_OF_MASS))
     released = int(np.searchsorted(truth.time, truth.release))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
@@ -33,8 +34,13 @@ _DSHOT_STOP, _DSHOT_HALF, _DSHOT_LAST = 47, 1000, 2047
 AT_REST = 1e-9
 # Shortest standstill of a rotor [s], and least |u| during it [1], that show a wrong unit or neutral.
 _STANDING, _DRIVEN = 0.5, 0.1
+# Least number of samples of a rest that shows how a tare drifts.
+_LEAST_REST = 5
 # Share of its top speed below which a rotor stands, and above which it turns [1].
-_STANDS, _TURNS = 0.02, 0.1
+STANDS, _TURNS = 0.02, 0.1
+# Span of the running median that passes steps of a speed and no drop-out [s], and least fall of a drop-out as
+# a share of the top speed [1].
+LEVEL_SPAN, _FALL = 0.2, 0.02
 # Least |u| that commands a direction [1].
 _COMMANDED = 0.02
 # Largest gap between two samples that a value is interpolated from, in seconds and in median steps of a slow
@@ -96,6 +102,32 @@ class CommandRange:
                 f"{self.unit}, for example {outside[0]:g}; correct command.minimum and command.maximum"
             )
         return u
+
+
+def drop_outs(time: FloatArray, speed: FloatArray) -> BoolArray:
+    """Return True (n,) where a tachometer misses pulses: a fall and a recovery that no propeller can follow.
+
+    A running median of 0.2 s passes every step of a speed and no shorter dip. A dip counts whose first sample
+    falls by over half of its depth, down to where the speed is back in its noise: the averaging of a stand
+    spreads a missed pulse over some samples. Valid for logs of up to some 1 kHz; ignores commands that are
+    shorter than 0.1 s. Samples (n,) are [s], [rad/s].
+    """
+    out = np.zeros(speed.size, dtype=np.bool_)
+    size = np.abs(speed)
+    width = round(0.5 * LEVEL_SPAN / float(np.median(np.diff(time)))) if time.size > 2 else 0
+    if width < 1:
+        return out
+    depth = median_filter(size, 2 * width + 1, mode="nearest") - size
+    noise = float(np.median(np.abs(depth))) / 0.6745
+    fall = _FALL * float(size.max())
+    low, over = depth > max(fall, 6.0 * noise), depth <= max(0.1 * fall, 2.0 * noise)
+    for first in np.flatnonzero(low & ~np.roll(low, 1)):
+        end = first + int(np.argmax(np.append(over[first:], True)))
+        deepest = float(depth[first:end].max())
+        fell = first > 0 and size[first - 1] - size[first] > 0.5 * deepest
+        if fell and end < speed.size and time[end] - time[first] < LEVEL_SPAN:
+            out[first:end] = True
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,36 +215,40 @@ class Tare:
 
 
 def tare(values: FloatArray, at_rest: BoolArray) -> Tare:
-    """Return the mean of a sensor's values (n,) [SI] over the rows (n,) at rest."""
-    used = values[at_rest & np.isfinite(values)]
-    if used.size == 0:
+    """Return the mean of a sensor's values (n,) [SI] over the rows (n,) at rest.
+
+    A hand on a stand at rest is no tare: values far from the others are left out. The error contains half of
+    what the mean drifts from the first rest to the last.
+    """
+    known = np.flatnonzero(at_rest & np.isfinite(values))
+    if known.size == 0:
         return Tare(0.0, float("nan"), 0, "assumed")
-    return Tare(float(used.mean()), float(used.std() / np.sqrt(used.size)), int(used.size))
+    off = np.abs(values[known] - np.median(values[known]))
+    known = known[off <= 5.0 * np.median(off) / 0.6745] if np.median(off) > 0 else known
+    used = values[known]
+    rests = np.split(used, np.flatnonzero(np.diff(np.cumsum(~at_rest)[known])) + 1)
+    means = [float(rest.mean()) for rest in rests if rest.size >= _LEAST_REST]
+    drift = 0.5 * abs(means[-1] - means[0]) if len(means) > 1 else 0.0
+    return Tare(float(used.mean()), float(np.hypot(used.std() / np.sqrt(used.size), drift)), int(used.size))
 
 
 def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> BoolArray:
     """Return True (n,) where no command u is given and nothing turns, nor has turned for the last 0.5 s.
 
-    A probe of the speed [rad/s] that sees nothing pass reads zero. One that never reads zero without a
-    command is noisy: below five times its noise nothing turns.
+    Nothing turns where the speed [rad/s] is within five times its noise at rest. A probe that sees nothing
+    pass reads zero and has no noise then.
     """
-    idle = np.abs(u) < AT_REST
-    rest = idle
+    rest = idle = np.abs(u) < AT_REST
     if speed is not None:
-        rest = idle & (np.nan_to_num(speed) == 0)
-        if not rest.any():
-            # The noise of the quietest 0.5 s without a command [rad/s]; a rotor that never stood has none.
-            size = max(round(_RINGING / float(np.median(np.diff(time)))), 2) if time.size > 1 else 2
-            limit = 0.0
-            if time.size >= size:
-                turned = np.nan_to_num(speed)
-                squares, idles = (
-                    np.append(0.0, np.cumsum(x)) for x in (np.where(idle, turned**2, 0.0), idle)
-                )
-                whole = idles[size:] - idles[:-size] == size
-                quietest = max(np.min((squares[size:] - squares[:-size])[whole], initial=np.inf), 0.0)
-                limit = min(5.0 * np.sqrt(quietest / size), _STANDS * np.max(np.abs(turned)))
-            rest = idle & (np.abs(speed) <= limit)
+        # The noise of the quietest 0.5 s without a command [rad/s]; a rotor that never stood has none.
+        size = max(round(_RINGING / float(np.median(np.diff(time)))), 2) if time.size > 1 else 2
+        turned, limit = np.nan_to_num(speed), 0.0
+        if time.size >= size:
+            squares, idles = (np.append(0.0, np.cumsum(x)) for x in (np.where(idle, turned**2, 0.0), idle))
+            whole = idles[size:] - idles[:-size] == size
+            quietest = max(np.min((squares[size:] - squares[:-size])[whole], initial=np.inf), 0.0)
+            limit = min(5.0 * np.sqrt(quietest / size), STANDS * np.max(np.abs(turned)))
+        rest = idle & (np.abs(turned) <= limit)
     moving = time[~rest]
     if moving.size == 0:
         return rest
@@ -223,6 +259,8 @@ def rows_at_rest(time: FloatArray, u: FloatArray, speed: FloatArray | None) -> B
 
 def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatArray:
     """Return speeds (n,) [rad/s] with the sign of the direction; optical probes see none.
+
+    The whole log changes its sign, so that noise at rest keeps its mean of zero.
 
     Raises LogError for a channel of zeros, a log of one direction that turns both ways, and one of reversals
     that never does.
@@ -247,7 +285,8 @@ def signed_speed(speed: FloatArray, direction: Direction, where: str) -> FloatAr
             f"{where}: a {direction} trial that turns both ways ({known.min():.0f} to {known.max():.0f} "
             'rad/s); set direction = "reversal", or cut the trial with start and end'
         )
-    return np.abs(speed) if direction == "forward" else -np.abs(speed)
+    sign = 1.0 if direction == "forward" else -1.0
+    return speed * (sign if top == known.max() else -sign)
 
 
 def check_command_direction(u: FloatArray, direction: Direction, where: str) -> None:
@@ -288,7 +327,7 @@ def standing_command(
         inside = (time >= start) & (time < end)
         if np.count_nonzero(inside) >= 2 and time[inside][-1] - time[inside][0] > _STANDING:
             share = np.abs(speed[inside]) / top
-            holds.append((float(level), share.max() < _STANDS, np.median(share) > _TURNS))
+            holds.append((float(level), share.max() < STANDS, np.median(share) > _TURNS))
     least = min((abs(u) for u, _, _ in holds), default=0.0)
     least_turning = min((abs(u) for u, _, turns in holds if turns), default=np.inf)
     for u, stands, _ in holds:

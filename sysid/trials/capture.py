@@ -163,7 +163,7 @@ def planar_motion(motion: SpatialMotion, point: FloatArray, level: FloatArray) -
     """Project onto the plane of motion, relative to a point (3,) of the surface in (x, y, z) [m].
 
     `level` (3, 3) is the rotation that counts as level: `held_level` of the samples before release, or the
-    identity.
+    frame's matrix, where the body's axes are the capture's.
     """
     turn = motion.rotation @ level.T
     relative = motion.position - point
@@ -177,7 +177,7 @@ def planar_motion(motion: SpatialMotion, point: FloatArray, level: FloatArray) -
 
 
 def held_level(motion: SpatialMotion, hold: slice) -> FloatArray:
-    """Return the mean rotation (3, 3) over samples during which the body hung still and level."""
+    """Return the mean rotation (3, 3) over samples during which the body kept its attitude."""
     turn = motion.rotation[hold][motion.valid[hold]]
     return np.asarray(Rotation.from_matrix(turn).mean().as_matrix())
 

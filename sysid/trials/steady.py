@@ -6,16 +6,21 @@ the sign of the speed by the sign convention of `sysid.trials.bench_log`.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
+from scipy.ndimage import median_filter
 
-from sysid.trials.bench_log import AT_REST, CommandSteps, Tare, outside
-from sysid.types import FloatArray, IntArray
+from sysid.errors import LogError
+from sysid.trials.bench_log import AT_REST, LEVEL_SPAN, STANDS, CommandSteps, Tare, outside
+from sysid.types import BoolArray, FloatArray, IntArray
 
 # Time from a command to the first sample of its steady point [s].
 SETTLE = 0.4
+# Least share of a log's top speed at which a rotor turns, and least step between two levels of its speed [1].
+_TURNING, _LEVEL_STEP = 0.05, 0.01
 # Largest relative difference between the mean speeds in the two halves of a steady point [1].
 _DRIFT = 0.02
 # Largest range of the command over a window of a slow ramp and the `SETTLE` before the window [1].
@@ -36,8 +41,8 @@ class SteadyPoints:
     """Averages over stretches at one command, or rows of an averaged log; all arrays (n,), NaN where unknown.
 
     Command [1], signed speed [rad/s], thrust [N] and torque [N·m] with the tare and sign of the channels that
-    the caller gave, supply [V], number of samples in each point, number of rows at rest from which the tares
-    of thrust and torque come.
+    the caller gave, supply [V], current [A], number of samples in each point, number of rows at rest from
+    which the tares of thrust and torque come.
     """
 
     u: FloatArray
@@ -45,6 +50,7 @@ class SteadyPoints:
     thrust: FloatArray
     torque: FloatArray
     voltage: FloatArray
+    current: FloatArray
     samples: IntArray
     thrust_zero: IntArray
     torque_zero: IntArray
@@ -68,24 +74,26 @@ def steady_points(
     *,
     ramp: bool = False,
 ) -> SteadyPoints:
-    """Average every stretch at one command, from 0.4 s after the command until the next.
+    """Average every stretch at one command, without its first third and at least its first 0.4 s.
 
     A stretch counts if it has at least 6 samples of the speed, the rotor turns at 1 rad/s or faster, and the
     mean speeds of the stretch's halves differ by at most 2 % (1 % with `ramp`). `time` (n,) are rows of the
     log [s]. Channels are (times, values) of samples that a sensor took, none interpolated: ``speed`` and,
-    where the log has them, ``thrust``, ``torque`` and ``voltage``. Intervals (start, end) [s] of `skip` do
-    not count; `zero_rows` is the number of rows at rest from which the tares of ``thrust`` and ``torque``
-    come.
+    where the log has them, ``thrust``, ``torque``, ``voltage`` and ``current``. Intervals (start, end) [s] of
+    `skip` do not count; `zero_rows` is the number of rows at rest from which the tares of ``thrust`` and
+    ``torque`` come.
 
     With `ramp`, average windows of 0.4 s of a command that creeps. Valid for ramps of 20 s or more from rest
     to full command; ignores the rotor's lag behind its steady speed (at most 0.5 % of that speed).
     """
-    names, rows = ("speed", "thrust", "torque", "voltage"), []
+    names, rows = ("speed", "thrust", "torque", "voltage", "current"), []
     if ramp:
         windows = _ramp_windows(time, steps)
     else:
         ends = np.append(steps.time[1:], time[-1] + 1e-9)
-        begins = np.maximum(steps.time, time[0]) + SETTLE
+        begins = np.maximum(steps.time, time[0])
+        # A stand's own averaging, and its supply, settle more slowly than the rotor.
+        begins = begins + np.maximum(SETTLE, (ends - begins) / 3.0)
         windows = list(zip(begins.tolist(), ends.tolist(), steps.level.tolist(), strict=True))
     for first, end, level in windows:
         cut = {}
@@ -101,12 +109,14 @@ def steady_points(
         early, late = float(speed[:half].mean()), float(speed[half:].mean())
         if abs(late) < 1.0 or abs(late - early) > (_RAMP_DRIFT if ramp else _DRIFT) * abs(late):
             continue
-        means = [float(cut[n].mean()) if n in cut and cut[n].size else float("nan") for n in names]
-        rows.append([level, *means, float(speed.size)])
-    u, turning, thrust, torque, voltage, samples = np.array(rows, dtype=np.float64).reshape(len(rows), 6).T
+        mean = [float(cut[n].mean()) if n in cut and cut[n].size else float("nan") for n in names]
+        rows.append([level, *mean, float(speed.size)])
+    u, *means, count = np.array(rows, dtype=np.float64).reshape(len(rows), 7).T
     at_rest = zero_rows or {}
     zeros = [np.full(len(rows), at_rest.get(name, 0), dtype=np.int64) for name in ("thrust", "torque")]
-    return SteadyPoints(u, turning, thrust, torque, voltage, samples.astype(np.int64), *zeros)
+    turning, thrust, torque, voltage, current = means
+    samples = count.astype(np.int64)
+    return SteadyPoints(u, turning, thrust, torque, voltage, current, samples, *zeros)
 
 
 def _ramp_windows(time: FloatArray, steps: CommandSteps) -> list[tuple[float, float, float]]:
@@ -123,6 +133,48 @@ def _ramp_windows(time: FloatArray, steps: CommandSteps) -> list[tuple[float, fl
         if u.size:
             windows.append((float(start), float(end), float(u.mean())))
     return windows
+
+
+def turning_steps(steps: CommandSteps, time: FloatArray, speed: FloatArray) -> BoolArray:
+    """Return (m,) whether the rotor turns under each command: fast, in the median of its stretch.
+
+    A controller that stutters below the throttle at which it starts does not turn its rotor. `time` and
+    `speed` (n,) are samples that the sensor took [s], [rad/s].
+    """
+    size, edges = np.abs(speed), np.append(np.searchsorted(time, steps.time), time.size)
+    limit = _TURNING * float(size.max(initial=0.0))
+    parts = [size[a:b] for a, b in itertools.pairwise(edges.tolist())]
+    return np.array([part.size > 0 and float(np.median(part)) > limit for part in parts], dtype=np.bool_)
+
+
+def speed_steps(time: FloatArray, speed: FloatArray) -> CommandSteps:
+    """Return the steady levels of a speed (n,) [rad/s] as commands: u is the level over the top speed.
+
+    For logs without a command. A level begins where the speed leaves the one before it, so that nothing
+    shows how long before the command came. Valid for steps of over 1 % of the top speed, each held for 0.4 s
+    or more. LogError where the speed has no such step.
+    """
+    size = np.abs(speed)
+    top, near = float(size.max()), max(1, round(0.5 * LEVEL_SPAN / float(np.median(np.diff(time)))))
+    smooth = median_filter(size, 2 * near + 1, mode="nearest")
+    padded = np.pad(smooth, near, mode="edge")
+    moving = np.abs(padded[2 * near :] - padded[: -2 * near]) > _LEVEL_STEP * top
+    begins, ends = (np.flatnonzero(np.diff(np.pad(moving, 1).astype(np.int8)) == sign) for sign in (1, -1))
+    if not begins.size:
+        raise LogError("the speed has no steady levels to tell commands from")
+    # Two transitions that lie closer than a level settles are one.
+    apart = np.flatnonzero(time[begins[1:]] - time[ends[:-1] - 1] > 0.5 * SETTLE)
+    begins, ends = begins[np.append(0, apart + 1)], ends[np.append(apart, ends.size - 1)]
+    stretches = zip(np.append(0, ends).tolist(), np.append(begins, size.size).tolist(), strict=True)
+    levels = [float(np.median(size[a:b])) for a, b in stretches if b > a]
+    if len(levels) != begins.size + 1:
+        raise LogError("the speed begins or ends between two steady levels; cut the trial with start and end")
+    instants = [float(time[0])]
+    for first, last, before, after in zip(begins, ends, levels[:-1], levels[1:], strict=True):
+        left = np.abs(size[first:last] - before) > 0.1 * abs(after - before)
+        instants.append(float(time[max(int(first) + int(np.argmax(left)) - 1, 0)]))
+    u = np.array(levels) / top
+    return CommandSteps(np.array(instants), np.where(u < STANDS, 0.0, np.minimum(u, 1.0)))
 
 
 def zero_of_steady(values: FloatArray, speed: FloatArray) -> Tare | None:

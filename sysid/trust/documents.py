@@ -12,6 +12,7 @@ values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are a
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Mapping
 from contextlib import suppress
@@ -26,6 +27,7 @@ from sysid.documents import Document, Open, OpenMapping, Part
 from sysid.errors import FitError
 from sysid.fit.adequacy import Adequacy
 from sysid.fit.provenance import CampaignFile
+from sysid.journal import notice
 from sysid.parameter_sets import INTERVALS, Flags, Judged, Pair, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_files
@@ -139,7 +141,7 @@ class Bootstrap(Part):
 class Leaves(Part):
     """The first of three samples in a row beyond ``limits.leaves`` noise deviations."""
 
-    # Time since the first touchdown or the start of the trial [s].
+    # Time since the first touchdown, or on the log's clock for a model without contacts [s].
     time: float
     channel: str
     # Contacts of the prediction until then.
@@ -197,18 +199,21 @@ class TrustPart(Document):
     # Name and kind of the fit.
     fit: str
     kind: str
-    # Hash of the fit.h5 beside it, and when it was written; both are set by `write_part`.
+    # Hashes of the fit.h5 and of the document's arrays beside it (older documents lack the latter), and when
+    # it was written; all are set by `part_files`.
     fit_sha256: str = ""
+    arrays_sha256: str = ""
     written: str = ""
     campaign: CampaignFile
     warnings: list[str]
 
     @classmethod
     def read(cls, folder: Path, part: str = "") -> Self | None:
-        """Return a document of a fit folder; None where there is none, or where the fit has changed since.
+        """Return a document of a fit folder; None where there is none.
 
-        A class of one document knows its `part`. Raises FitError when the file is damaged or of another
-        version.
+        One that names another fit.h5 or other arrays than lie beside it does not count either, and is
+        noticed. A class of one document knows its `part`. Raises FitError when the file is damaged or of
+        another version.
         """
         path = folder / f"{part or cls.model_fields['part'].default}.json"
         if not path.is_file():
@@ -221,14 +226,21 @@ class TrustPart(Document):
         for name in ("part", "fit_sha256", "written"):
             if name not in document.model_fields_set:
                 raise FitError(f"{path}: damaged or cut off ({name}: it is missing); {cls.REMEDY}")
-        return document if document.fit_sha256 == file_sha256(folder / "fit.h5") else None
+        for name, digest in (("fit.h5", document.fit_sha256), (f"{path.stem}.h5", document.arrays_sha256)):
+            if digest and not ((folder / name).is_file() and file_sha256(folder / name) == digest):
+                sentence = f"{path} is not used: what it says is of another {name} than lies beside it"
+                notice(
+                    "of-another-fit", f"{sentence}; restore the file that was changed, or write {path} again"
+                )
+                return None
+        return document
 
     def printed(self) -> dict[str, Any]:
         """Return what a command prints: all but what only the file needs."""
         return self.model_dump(exclude=_OF_THE_FILE)
 
 
-_OF_THE_FILE = {"schema_", "version", "part", "fit", "kind", "fit_sha256", "written"}
+_OF_THE_FILE = {"schema_", "version", "part", "fit", "kind", "fit_sha256", "arrays_sha256", "written"}
 
 
 class TrustDocument(TrustPart):
@@ -415,16 +427,21 @@ def write_part(
 
 def part_files(document: TrustPart, arrays: Arrays, fit_sha256: str) -> dict[str, bytes]:
     """Return the files of a document and its arrays by name; `fit_sha256` is of the fit.h5 beside them."""
-    stamp = {"fit_sha256": fit_sha256, "written": datetime.now(UTC).isoformat(timespec="seconds")}
-    text = document.model_copy(update=stamp).text()
 
     def write(file: Any) -> None:
         file.attrs["part"] = document.part
         for path, (values, axes, unit) in arrays.items():
             put(file, path, values, axes, unit)
 
+    content = ARRAYS.content(write)
+    stamp = {
+        "fit_sha256": fit_sha256,
+        "arrays_sha256": hashlib.sha256(content).hexdigest(),
+        "written": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    text = document.model_copy(update=stamp).text()
     # The arrays first: without the document, which names them, they count as not there.
-    return {f"{document.part}.h5": ARRAYS.content(write), f"{document.part}.json": text.encode("utf-8")}
+    return {f"{document.part}.h5": content, f"{document.part}.json": text.encode("utf-8")}
 
 
 def read_arrays(folder: Path, part: str) -> dict[str, FloatArray]:

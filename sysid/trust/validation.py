@@ -58,13 +58,15 @@ def judge(
     away = np.abs(error) > LEAVES * noise / safe
     away &= valid & used & np.isfinite(noise)
     leaves: Leaves | None = None
+    # Without contacts, nothing but the log's clock tells a reader where to look.
+    zero = 0.0 if contacts is None else trial.zero
     row = np.ones(IN_A_ROW, dtype=np.int64)
     for c in range(len(channels) if len(time) >= IN_A_ROW else 0):
         runs = np.flatnonzero(np.convolve(away[:, c].astype(np.int64), row, "valid") == IN_A_ROW)
-        if len(runs) and (leaves is None or time[runs[0]] - trial.zero < leaves.time):
+        if len(runs) and (leaves is None or time[runs[0]] - zero < leaves.time):
             at = float(time[runs[0]])
             before = 0 if contacts is None else int(np.count_nonzero(contacts <= at))
-            leaves = Leaves(time=at - trial.zero, channel=channels[c], after_contacts=before)
+            leaves = Leaves(time=at - zero, channel=channels[c], after_contacts=before)
     return JudgedTrial(
         name=trial.name,
         nrmse=nrmse.tolist(),

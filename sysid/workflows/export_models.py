@@ -2,22 +2,82 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
+from sysid import exact_json
 from sysid.errors import ExportError
-from sysid.export import export
-from sysid.export.gazebo import to_sdf
+from sysid.export import SUFFIXES, export, load_parameter_sets
 from sysid.export.mjcf import to_mjcf
+from sysid.export.numbers import numbers_for
+from sysid.export.xml import document
 from sysid.fit.adequacy import NOT_BY
 from sysid.gear.surfaces import find_surface
 from sysid.journal import notice
-from sysid.motor.nearest_lag import first_order_rotor
+from sysid.motor.nearest_lag import FirstOrderRotor
 from sysid.parameter_sets import ADEQUACY, ParameterSets
 from sysid.storage import check_file, write_file
-from sysid.workflows.show import load_sets
 
 # The simulator of a suffix, and the kind of sets that it takes.
 MODELS = {".xml": ("a MuJoCo model", "gear"), ".sdf": ("a Gazebo motor model", "motor")}
+
+
+def print_exported(
+    source: str | Path, out: Path | None, force: bool, json: bool, *, target: str | None = None,
+    mass: float | None = None, rank: int | None = None, slope: float = 0.0, per_leg: bool = False,
+) -> None:  # fmt: skip
+    """Print a motor's numbers for a `target`, write them or the sets to `out`, and print what was written.
+
+    For Gazebo an .sdf file is the whole model. `mass` is a drone's [kg]; other arguments and errors as for
+    `export_sets`.
+    """
+    if target is None:
+        if out is None or mass is not None:
+            raise ExportError(
+                "give --out FILE to write the sets, or --for with a simulator or flight controller, such as "
+                "gazebo, to print a motor's numbers by its names; --mass goes with --for"
+            )
+        files, numbers = export_sets(source, out, force, rank=rank, slope=slope, per_leg=per_leg), None
+    else:
+        if slope or per_leg:
+            raise ExportError(
+                "--slope and --per-leg are for MuJoCo models (.xml), not for --for; leave them out"
+            )
+        numbers = numbers_for(_sets(source), target, rank=rank or 1, mass=mass)
+        for sentence in numbers.missing:
+            notice("not-given", sentence)
+        suffix = "" if out is None else out.suffix.lower()
+        if suffix in SUFFIXES or (suffix in MODELS and (target, suffix) != ("gazebo", ".sdf")):
+            raise ExportError(
+                f"{out}: --for {target} writes the text that it prints; leave --for out to write the sets, "
+                "or take another suffix, such as .txt"
+            )
+        files = []
+        if out is not None and suffix in MODELS:
+            files = export_sets(source, out, force, rank=rank, mass=mass)
+        elif out is not None:
+            check_file(out, force=force, error_type=ExportError)
+            write_file(out, numbers.text().encode("utf-8"), ExportError)
+            files = [out]
+    written = [str(file) for file in files]
+    if json:
+        print(exact_json.dumps({"written": written} | (numbers.document() if numbers else {})))
+        return
+    if numbers:
+        print(numbers.text(), end="")
+    for file in written:
+        print(f"wrote {file}", file=sys.stderr if numbers else None)
+
+
+def _sets(source: str | Path) -> ParameterSets:
+    """Return the sets of a fit folder or file; notice where the model does not explain them."""
+    sets = load_parameter_sets(source)
+    if sets.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY:
+        notice(
+            "not-explained",
+            f"{source}: the model does not explain the trials, so no parameter is well known",
+        )
+    return sets
 
 
 def export_sets(
@@ -28,20 +88,16 @@ def export_sets(
     rank: int | None = None,
     slope: float = 0.0,
     per_leg: bool = False,
+    mass: float | None = None,
 ) -> list[Path]:
     """Write the ranked sets of a fit folder or file, and return the files; the suffix chooses the format.
 
     Several sets become several models, ``NAME-1.xml``, ``NAME-2.xml`` ..., by rank; with a `rank` only that
     set is written, to `target` itself. For MuJoCo, `slope` is the ground's [rad], and `per_leg` models four
-    single legs in space instead of two pairs in a plane. Raises `ExportError` when the sets do not suit the
-    simulator, or a file exists or cannot be written; old files survive.
+    single legs in space instead of two pairs in a plane; `mass` as in `numbers_for`. Raises `ExportError`
+    when the sets do not suit the simulator, or a file exists or cannot be written; old files survive.
     """
-    sets = load_sets(source)
-    if sets.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY:
-        notice(
-            "not-explained",
-            f"{source}: the model does not explain the trials, so no parameter is well known",
-        )
+    sets = _sets(source)
     suffix = target.suffix.lower()
     if suffix not in MODELS:
         if rank is not None or slope or per_leg:
@@ -62,15 +118,15 @@ def export_sets(
         file = target if alone else target.with_name(f"{target.stem}-{i}{target.suffix}")
         check_file(file, force=force, error_type=ExportError)
         if suffix == ".sdf":
-            documents[file] = _motor(sets, i)
+            documents[file] = _motor(sets, i, mass)
             continue
         sticks = find_surface(str(sets.settings.get("surface", "lf"))).switching
         documents[file] = to_mjcf(
             sets.set_values(i), name=f"{sets.name} set {i}", sticks=sticks, slope=slope, per_leg=per_leg,
             notes=_certainty(sets),
         )  # fmt: skip
-    for file, document in documents.items():
-        write_file(file, document, ExportError)
+    for file, content in documents.items():
+        write_file(file, content, ExportError)
     return list(documents)
 
 
@@ -86,16 +142,18 @@ def _certainty(sets: ParameterSets) -> list[str]:
     return out
 
 
-def _motor(sets: ParameterSets, rank: int) -> bytes:
-    rotor = first_order_rotor(sets.set_values(rank).known())
-    notes = [
-        f"{sets.name}, set {rank} of {len(sets)}.",
-        *_certainty(sets),
-        f"Time constants: the lag nearest to the motor's response to command steps up and down around "
-        f"hover, off by {100 * rotor.misfit_up:.1f} % and {100 * rotor.misfit_down:.1f} % of a step (rms).",
-        f"Thrust: {100 * rotor.thrust_misfit:.1f} % of the largest off the identified curve at worst.",
-        f"Reverse rotation is weaker, which the plugin does not know: motorConstant "
-        f"{rotor.reverse_thrust_constant:.4g} N s^2/rad^2 up to {rotor.reverse_maximum_speed:.4g} rad/s; nor "
-        "does it know the pause of a reversal (saturation current and speed).",
-    ]
-    return to_sdf(rotor, name=f"{sets.name}-{rank}", notes=tuple(notes))
+def _motor(sets: ParameterSets, rank: int, mass: float | None) -> bytes:
+    numbers = numbers_for(sets, "gazebo", rank=rank, mass=mass)
+    if numbers.missing:
+        raise ExportError(f"{sets.name}, set {rank}: {numbers.missing[0]}")
+    rotor = FirstOrderRotor(sets.set_values(rank))
+    head = f"{sets.name}, set {rank} of {len(sets)}."
+    # Both state how well the fit explains its logs.
+    notes = list(dict.fromkeys((head, *numbers.notes, *_certainty(sets))))
+    if rotor.reverse_thrust_constant > 0:
+        notes.append(
+            f"Reverse rotation is weaker, which the plugin does not know: motorConstant "
+            f"{rotor.reverse_thrust_constant:.4g} N s^2/rad^2 up to {rotor.reverse_maximum_speed:.4g} rad/s; "
+            "nor does it know the pause of a reversal (saturation current and speed)."
+        )
+    return document("gazebo.sdf.j2", numbers=numbers, name=f"{sets.name}-{rank}", notes=notes)

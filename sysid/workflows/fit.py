@@ -81,7 +81,8 @@ def fit_campaign(
     written then.
     """
     path, options = Path(path), options or FitOptions()
-    model, campaign, ignored = open_campaign(path, kind, law=law)
+    exact = {"exact": True} if getattr(options, "exact", False) else {}
+    model, campaign, ignored = open_campaign(path, kind, law={**(law or {}), **exact})
     folder, search = options.folder(campaign.name), options.search(campaign.fit)
     deadline = Deadline(search.time_limit)
     if options.resume and options.force:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
@@ -13,9 +15,10 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sysid.errors import CampaignError, LogError, SysidError
+from sysid.errors import CampaignError, LogError, SegmentError, SysidError
 from sysid.loaders import formats, load
 from sysid.loaders.alignment import join_recordings
+from sysid.loaders.guess import Missing, missing
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Recording
 from sysid.report.fold import print_result, print_table
@@ -49,7 +52,7 @@ def parse_options(given: Sequence[str]) -> dict[str, object]:
             raise CampaignError(f"option {word!r} is not NAME=VALUE; write for example rate=10000")
         try:
             options[name.strip()] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             options[name.strip()] = value.strip()
     return options
 
@@ -70,14 +73,13 @@ def inspect_files(
     """
     recordings: list[Recording] = []
     results: list[tuple[Path, LogReport | SysidError]] = []
+    given = dict(options or {})
     for path in paths:
         try:
-            recording = load(path, format=format_name, **(options or {}))
-            results.append((path, inspect_recording(recording)))
-            recordings.append(recording)
+            for recording in _segments(path, format_name, given):
+                results.append((path, inspect_recording(recording)))
+                recordings.append(recording)
         except SysidError as error:
-            if len(paths) == 1:
-                raise
             results.append((path, error))
     reports = [result for _, result in results if isinstance(result, LogReport)]
     figure = draw(recordings, reports) if draw is not None and recordings else None
@@ -86,7 +88,8 @@ def inspect_files(
             result.as_json() if isinstance(result, LogReport) else {"path": str(path), "error": str(result)}
             for path, result in results
         ]
-        print(json.dumps(rows, ensure_ascii=False, indent=2))
+        if len(rows) > 1 or reports:
+            print(json.dumps(rows, ensure_ascii=False, indent=2))
     else:
         console = Console(soft_wrap=True)
         for path, result in results:
@@ -94,16 +97,64 @@ def inspect_files(
                 print_log(console, result)
             else:
                 console.print(Text(str(path), style="bold"))
-                console.print(Text(f"  refused: {result}", style="bold red"))
+                if len(paths) > 1:
+                    console.print(Text(f"  refused: {result}", style="bold red"))
+                lacking = missing(path, format_name, given)
+                if lacking is not None:
+                    _print_missing(console, path, format_name, given, lacking)
         if figure is not None:
             console.print(Text(f"wrote {figure}"))
     refusals = [(str(path), result) for path, result in results if isinstance(result, SysidError)]
+    if refusals and len(paths) == 1:
+        raise refusals[0][1]
     if refusals:
         sentence = f"{refusals[0][1]} (1 of {len(paths)} logs refused)"
         if len(refusals) > 1:
             names = ", ".join(path for path, _ in refusals)
             sentence = f"{len(refusals)} of {len(paths)} logs refused: {names}; each says why in its place"
         raise type(refusals[0][1])(sentence)
+
+
+def _print_missing(
+    console: Console, path: Path, format_name: str, given: Mapping[str, object], lacking: Missing
+) -> None:
+    """Print the columns of a refused log, with guesses, and the command that gives all that it lacks."""
+    columns = (
+        words("column", attrgetter("name")),
+        numbers("lowest", lambda column: number(column.lowest)),
+        numbers("highest", lambda column: number(column.highest)),
+        words("guess", lambda column: lacking.guess(column.name)),
+    )
+    print_table(table("", lacking.columns[:_MOST_ROWS], columns), console)
+    if not lacking.options:
+        return
+    form = lacking.format or format_name
+    stated = {**given, **lacking.options}
+    command = ["sysid", "inspect", str(path), *(("--format", form) if form != "auto" else ())]
+    command += [part for name, value in stated.items() for part in ("-o", f"{name} = {toml_value(value)}")]
+    console.print(Text("  what is missing, as guessed; check it, and replace each TODO:", style="bold"))
+    console.print(Text(f"    {shlex.join(command)}"))
+    if lacking.fault:
+        console.print(Text(f"  even then: {lacking.fault}"))
+
+
+def toml_value(value: object) -> str:
+    """Return the value of a loader option as TOML on one line."""
+    if isinstance(value, Mapping):
+        names = {key: key if re.fullmatch("[A-Za-z0-9_-]+", key) else json.dumps(key) for key in value}
+        return "{" + ", ".join(f"{names[key]} = {toml_value(part)}" for key, part in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _segments(path: Path, format_name: str, options: Mapping[str, object]) -> Iterator[Recording]:
+    """Yield the recording of a log, or one for each segment where the log has several."""
+    try:
+        yield load(path, format=format_name, **options)
+    except SegmentError as error:
+        for number in range(1, error.count + 1):
+            yield load(path, format=format_name, **(dict(options) | {"segment": number}))
 
 
 @dataclass(frozen=True)

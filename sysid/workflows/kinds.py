@@ -9,7 +9,8 @@ from pkgutil import resolve_name
 from typing import Any
 
 from sysid.campaign import read_campaign, register_campaign
-from sysid.errors import CampaignError, CampaignFileError, UnitError
+from sysid.campaign.common import as_exact
+from sysid.errors import CampaignError, CampaignFileError, SysidError, UnitError
 from sysid.fit.kind import Kind
 from sysid.gear.kind import GEAR
 from sysid.journal import Finding
@@ -92,6 +93,8 @@ def register(kind: Kind, report: str = _ANY_REPORT) -> None:
     >>> low < 3.0 < high
     True
     """
+    if not isinstance(kind, Kind):
+        raise SysidError(f"expected a sysid.Kind to register, found {kind!r:.60}")
     _KINDS[kind.name], _REPORTS[kind.name] = kind, report
     register_campaign(kind.name, kind.campaign)
 
@@ -121,7 +124,8 @@ def open_campaign(
 
     Another `kind` than the one named is refused. With the `settings` of a fit, such as ``{"surface": "hf"}``,
     the campaign is taken under the law of that fit; what it states and that law ignores is noticed. A `law`
-    that the user states does the same, and is refused where the kind does not know it.
+    that the user states does the same, and is refused where the kind does not know it. With
+    ``{"exact": True}`` in either, or in the campaign's ``[fit]``, every stated value is exact.
     """
     law = law or {}
     campaign = read_campaign(path, kind if settings is None else None)
@@ -131,11 +135,14 @@ def open_campaign(
         )
     model = find_kind(campaign.kind)
     for name in law:
-        if name not in model.laws:
+        if name not in (*model.laws, "exact"):
             lacks = f"a campaign of kind {campaign.kind!r} has no {name}"
             raise CampaignFileError(f"{path}: {lacks}; leave --{name} out")
+    chosen = {"exact": campaign.fit.exact, **(settings or {}), **law}
+    if chosen["exact"]:
+        campaign = as_exact(campaign)
     with naming_campaign(path):
-        campaign, ignored = model.under(campaign, {**(settings or {}), **law})
+        campaign, ignored = model.under(campaign, chosen)
     return model, campaign, ignored
 
 

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from sysid import __version__
 from sysid.errors import CampaignError, ExportError
+from sysid.export import load_parameter_sets
 from sysid.fit.progress import LiveBlock
 from sysid.fit.stopping import stop_on_interrupt
 from sysid.journal import notice, tell
@@ -25,7 +26,6 @@ from sysid.resume import BlockStore, Computing
 from sysid.storage import check_file
 from sysid.workflows.options import ComputeOptions, MotorOptions
 from sysid.workflows.provenance import seen_from
-from sysid.workflows.show import load_sets
 
 Computed = TypeVar("Computed")
 
@@ -66,8 +66,8 @@ def open_fleets(
 
     Raises `SysidError` when sets cannot be used, or two gear files have one surface.
     """
-    motor = load_sets(motors.motor)
-    loaded = [load_sets(path) for path in gears]
+    motor = load_parameter_sets(motors.motor)
+    loaded = [load_parameter_sets(path) for path in gears]
     fleets = tuple(drones(gear, motor, motors.pair) for gear in loaded)
     surfaces = [fleet[0].surface for fleet in fleets]
     if len(set(surfaces)) < len(surfaces):

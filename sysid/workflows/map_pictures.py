@@ -18,6 +18,7 @@ from sysid.landing.store import MapFile
 from sysid.marks import span
 from sysid.report.landing_figures import figure_impulse, figure_of_file
 from sysid.shown import Shown
+from sysid.storage import path_of
 from sysid.workflows.landing_maps import limits_of
 from sysid.workflows.landing_sources import chosen_controllers, open_fleets
 from sysid.workflows.options import MotorOptions
@@ -70,7 +71,7 @@ def landing_map(
     There is one file of `gears` per surface. `slopes` [deg] and `speeds` [m/s] are first:last:step or a list,
     `controllers` as for ``sysid landing-map``. Raises `SysidError` when an input cannot be used.
     """
-    fleets, settings = _opened(gears, MotorOptions(Path(motor)), slopes, speeds)
+    fleets, settings = _opened(gears, MotorOptions(path_of(motor, "the motor's sets")), slopes, speeds)
     chosen = chosen_controllers(controllers, settings.rules.horizon)
     maps = landing_maps(fleets, chosen, settings)
     stated = {"rules": asdict(settings.rules), "static_limits": limits_of(fleets, chosen)}
@@ -92,7 +93,7 @@ def impulse_map(
     `delays` and `durations` are tried [s]. Motors of an `ideal_reversal` reverse without delay, and the rear
     pair then reverses in the impulse (Fig. 11). The rest is as for `landing_map`.
     """
-    motors = MotorOptions(Path(motor), ideal_reversal=ideal_reversal)
+    motors = MotorOptions(path_of(motor, "the motor's sets"), ideal_reversal=ideal_reversal)
     fleets, settings = _opened(gears, motors, slopes, speeds)
     tried = (span(delays, "delays"), span(durations, "durations"))
     impulses = ImpulseSettings(*tried, ideal_reversal=ideal_reversal)
@@ -106,4 +107,4 @@ def _opened(
     gears: Sequence[str | Path], motors: MotorOptions, slopes: str, speeds: str
 ) -> tuple[Fleets, MapSettings]:
     settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
-    return open_fleets(motors, [Path(gear) for gear in gears])[0], settings
+    return open_fleets(motors, [path_of(gear, "the gear's sets") for gear in gears])[0], settings

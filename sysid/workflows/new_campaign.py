@@ -6,26 +6,33 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader
 
+from sysid.campaign.logs import load_stated
 from sysid.errors import CampaignError
-from sysid.loaders import load
+from sysid.loaders import formats
+from sysid.loaders.options import DECLARED
 from sysid.storage import check_file, write_file
 from sysid.trials.look import LogReport, inspect_recording
+from sysid.workflows.inspect import toml_value
 
 # Kinds of logs that a kind of campaign takes, and the words that ask for them.
 _RECORDED = {
     "gear": ({"motion-capture"}, "drops under motion capture"),
     "motor": ({"thrust-stand", "load-cell", "static-map"}, "a motor on a thrust stand or load cell"),
 }
-# Commands of a usual speed controller [µs].
-_US = {"minimum": 1000, "neutral": 1500, "maximum": 2000}
-# Largest distance from rest [µs] that a log of one direction keeps on the other side.
-_NEAR_REST = 20.0
+# Commands of a usual speed controller [µs], and shares of the full one [1], such as a duty.
+_RANGES = {
+    "us": {"minimum": 1000, "neutral": 1500, "maximum": 2000},
+    "1": {"minimum": -1, "neutral": 0, "maximum": 1},
+}  # fmt: skip
+# Largest distance from rest, over that of full command [1], that a log of one direction keeps on the other
+# side.
+_NEAR_REST = 0.04
 # Least share [1] of the largest thrust among the logs; a log with less was taken without propeller.
 _NO_THRUST = 0.02
 _TODO = "TODO"
@@ -36,27 +43,50 @@ _BLANK = {
 
 
 def write_new_campaign(
-    kind: str, path: Path, logs: Sequence[Path] = (), *, minimal: bool = False, force: bool = False
+    kind: str,
+    path: Path,
+    logs: Sequence[Path] = (),
+    *,
+    minimal: bool = False,
+    options: Mapping[str, object] | None = None,
+    force: bool = False,
 ) -> Path:
     """Write a commented campaign file; with logs, or a `minimal` one, only what a fit needs.
 
     What logs say is filled in: names, slopes, axes, directions, commands. What they do not say stands there
-    as TODO, which no command accepts. Raises `SysidError` when the file exists and `force` is off, or a log
-    cannot be read or is of another kind; nothing has been written then.
+    as TODO, which no command accepts. The logs are read with those loader `options` that their formats take,
+    and the campaign states the options. Raises `SysidError` when the file exists and `force` is off, an
+    option is for none of the logs, or a log cannot be read or is of another kind; nothing has been written
+    then.
     """
+    options = dict(options or {})
+    form = str(options.pop("format", "auto"))
     check_file(path, force=force, error_type=CampaignError)
     if minimal or logs:
         environment = Environment(loader=PackageLoader("sysid", "templates"), autoescape=False)
         reports: list[LogReport] = []
         kinds, wanted = _RECORDED[kind]
         for log in logs:
-            report = inspect_recording(load(log))
+            report = inspect_recording(load_stated(log, form, options, {}))
             if report.kind not in kinds:
+                beside = (
+                    " or join it to the stand's with sysid convert --add" if report.kind == "signals" else ""
+                )
                 raise CampaignError(
                     f"{log}: is a {report.kind} log; a {kind} campaign needs {wanted}, so leave this log out"
+                    f"{beside}"
                 )
             reports.append(report)
-        content = _content(kind, path, reports)
+        taken = {option for report in reports for option in formats()[report.format].options}
+        if idle := sorted(set(options) - taken):
+            raise CampaignError(
+                f"option {idle[0]!r} is for none of these logs; their formats take {', '.join(sorted(taken))}"
+            )
+        body = options.pop("rigid_body", None)
+        stated = ({} if form == "auto" else {"format": form}) | options
+        lines = [f"{name} = {toml_value(_with_unit(name, value))}" for name, value in stated.items()]
+        content = _content(kind, path, reports) | {"options": lines}
+        content["body"] = body or content["body"]
         text = environment.get_template(f"{kind}-minimal.toml").render(content) + "\n"
     else:
         text = resources.files("sysid").joinpath("templates", f"{kind}.toml").read_text(encoding="utf-8")
@@ -75,7 +105,8 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
         for channel in report.channels
         if report.kind == "static-map" and channel.name == "voltage" and math.isfinite(channel.highest)
     ]
-    both = any(_one_way(report) for report in reports)
+    # Only a log that begins at the middle says that the motor turns both ways; a share has a sign.
+    both = any(_one_way(report) for report in reports) or units == {"1"}
     logs = []
     for report in reports:
         slope = report.drop.slope if report.drop else None
@@ -88,8 +119,10 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
             "direction": _one_way(report) or ("reversal" if both else "forward"),
             "points": curve if report.kind == "static-map" else "",
         })  # fmt: skip
-    known = units == {"us"}
-    numbers = _US if known else dict.fromkeys(_US, f'"{_TODO}"')
+    numbers: dict[str, object] = dict.fromkeys(_RANGES["us"], f'"{_TODO}"')
+    known = len(units) == 1 and units <= {*_RANGES}
+    if known:
+        numbers |= _RANGES[next(iter(units))]
     return {
         "name": re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip(".-") or f"my-{kind}",
         "body": _usual(drop.body for drop in drops),
@@ -98,19 +131,25 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
         "voltage": f"{max(volts):.3g} V" if volts else f"{_TODO} V",
         "unit": _usual(units),
         **numbers,
-        # Without a log that begins at the middle, nothing says that the motor turns both ways.
-        "neutral": numbers["neutral"] if both or not known else None,
+        "neutral": numbers["neutral"] if both or units != {"us"} else None,
         "logs": logs or [_BLANK],
     }
+
+
+def _with_unit(name: str, value: object) -> object:
+    """Return the value of a loader option with the option's unit, which a campaign wants."""
+    unit = DECLARED[name].unit if name in DECLARED else ""
+    return f"{value} {unit}" if unit and not isinstance(value, str) else value
 
 
 def _one_way(report: LogReport) -> str:
     """Return which way a motor turns whose command stays on one side of the middle; else an empty text."""
     for channel in report.channels:
-        if channel.name == "command" and channel.unit == "us":
-            rest = _US["neutral"]
-            return "forward" if channel.lowest > rest - _NEAR_REST else (
-                "reverse" if channel.highest < rest + _NEAR_REST else ""
+        if channel.name == "command" and channel.unit in _RANGES:
+            rest, full = _RANGES[channel.unit]["neutral"], _RANGES[channel.unit]["maximum"]
+            near = _NEAR_REST * (full - rest)
+            return "forward" if channel.lowest > rest - near else (
+                "reverse" if channel.highest < rest + near else ""
             )  # fmt: skip
     return ""
 

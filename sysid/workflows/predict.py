@@ -100,7 +100,7 @@ def open_under(fit: FitResult, path: Path, threads: int | None = None) -> tuple[
     Raises `SysidError` when the campaign has another kind or cannot be used.
     """
     with naming_campaign(path):
-        kind, campaign, _ = open_campaign(path, fit.kind, fit.settings)
+        kind, campaign, _ = open_campaign(path, fit.kind, fit.law)
         return kind, kind.open(campaign, path, threads)
 
 

@@ -87,7 +87,7 @@ def reopen(folder: Path, result: FitResult, campaign: Path | None, threads: int 
         name = f"its campaign {stated['file']!r} is not where it was" if stated else "it names no campaign"
         raise FitError(f"{folder}: {name}; put it there, or name it with --campaign")
     with naming_campaign(path):
-        kind, content, _ = open_campaign(path, result.kind, result.settings)
+        kind, content, _ = open_campaign(path, result.kind, result.law)
         if stated.get("sha256") not in (None, content.source.sha256):
             notice(
                 "campaign-changed",

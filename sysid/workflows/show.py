@@ -9,7 +9,7 @@ from sysid import exact_json
 from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
-from sysid.fit.store import fit_folder, read_fit
+from sysid.fit.store import fit_folder
 from sysid.parameter_sets import ADEQUACY, NOT_ASSESSED, ParameterSets
 from sysid.report.fold import print_lines, print_table
 from sysid.report.ladder import conclusion
@@ -19,23 +19,12 @@ from sysid.report.set_tables import (
     ranked_table,
     trial_table,
 )
-from sysid.trust.documents import LadderDocument, with_intervals
-
-
-def load_sets(path: str | Path) -> ParameterSets:
-    """Return the ranked sets of a fit folder or of a parameter-set file of any format.
-
-    Raises `SysidError` when there is neither.
-    """
-    path = Path(path)
-    if path.is_dir() or path.name == "fit.h5":
-        return with_intervals(read_fit(path), fit_folder(path)).parameter_sets()
-    return load_parameter_sets(path)
+from sysid.trust.documents import LadderDocument
 
 
 def print_sets(source: str | Path, json: bool) -> None:
     """Print the ranked sets of a fit folder or file."""
-    sets = load_sets(source)
+    sets = load_parameter_sets(source)
     if json:
         print(sets.document().text(), end="")
         return
@@ -106,7 +95,8 @@ def verdict_on(result: FitResult) -> str:
         fits = f"not compared with the noise, NRMSE {100 * result.nrmse[0]:.2f} %"
     else:
         scores = scores_in_words(*(judged[key] for key in ("nrmse", "floor", "ratio")))
-        fits = f"{WORDS[judged['verdict']]}, {scores}"
+        but_for = judged.get("but_for")
+        fits = f"{f'explained but for {but_for}' if but_for else WORDS[judged['verdict']]}, {scores}"
         if judged["verdict"] == NOT_BY:
             lost.insert(0, "no parameter is well known")
     known = "; ".join(lost) or "every free parameter is identifiable"

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sysid.errors import ExportError
+from sysid.export import load_parameter_sets
 from sysid.gear.surfaces import find_surface
 from sysid.landing.static_limits import rigid_limits, set_down_limit
 from sysid.report.fold import print_result, print_table
 from sysid.report.landing_tables import limits_table
-from sysid.workflows.show import load_sets
 
 
 def print_static_limits(source: str | Path, thrusts: Sequence[float], json: bool = False) -> None:
@@ -21,7 +21,7 @@ def print_static_limits(source: str | Path, thrusts: Sequence[float], json: bool
 
     Raises `ExportError` when the sets are not a gear's, or a thrust lifts the drone.
     """
-    sets = load_sets(source)
+    sets = load_parameter_sets(source)
     if sets.kind != "gear":
         raise ExportError(f"{source}: has {sets.kind} sets; static limits need the sets of a landing gear")
     surface = find_surface(str(sets.settings.get("surface", "lf")))

@@ -4,6 +4,7 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from fakes.log_files import LBF, LBF_IN, notes, refuses
 from sysid.errors import UnitError
@@ -40,11 +41,13 @@ def test_stand_semicolon_decimal_comma_cp1252_old_line_ends_stale_row():
     assert "Windows-1252" in notes(log)
 
 
-def test_stand_time_back_is_refused_or_dropped_on_demand():
+@pytest.mark.parametrize("options", [{}, {"time_back": "drop"}])
+def test_a_row_of_a_stand_that_comes_late_is_dropped_with_a_note_or_refused_on_demand(options):
     path = HERE / "stand_time_back.csv"
-    refuses(path, r"stand_time_back.csv, line 5: time goes back from 3.214 s to 3.209 s")
-    log = load(path, time_back="drop")
+    refuses(path, r"csv, line 5: time goes back from 3.214 s to 3.209 s", time_back="refuse")
+    log = load(path, **options)
     np.testing.assert_array_equal(log["thrust"].time, [3.19, 3.20, 3.214, 3.22])
+    assert "time goes back, left out: 1 (first: line 5), by up to 0.45 sample periods" in notes(log)
 
 
 def test_load_cell_without_clock_needs_a_rate_and_command_unit():

@@ -305,6 +305,22 @@ def ragged_rows(log, random):
     return "\n".join(lines).encode("utf-8")
 
 
+def lost_cell(log, random):
+    """One row loses a cell with its delimiter, anywhere in it."""
+    lines = _text(log).split("\n")
+    with _cells(log, lines, _number(random, log.first, len(lines) - 1)) as cells:
+        del cells[_number(random, 0, len(cells))]
+    return "\n".join(lines).encode("utf-8")
+
+
+def exchanged_header_rows(log, random):
+    """Two lines of the header, or one of them and the first row, change places."""
+    lines = log.data.split(b"\n")
+    a, b = random.choice(log.first + 1, 2, replace=False) if log.first else (0, 1)
+    lines[a], lines[b] = lines[b], lines[a]
+    return b"\n".join(lines)
+
+
 def swapped_names(log, random):
     """Two names of columns change places: then each number is what its own column's name now says."""
     lines = _text(log).split("\n")
@@ -339,4 +355,5 @@ def other_number(log, random):
 DAMAGES = (
     cut, flip, splash, drop_column, shuffle_rows, drop_or_double_lines, second_header, no_rows, nul, utf16,
     other_delimiter, doubled_delimiter, ragged_rows, swapped_names, other_unit, other_number,
+    lost_cell, exchanged_header_rows,
 )  # fmt: skip

@@ -23,7 +23,8 @@ NOTEBOOKS = ROOT / "notebooks"
 # In reading order, each with the notebook whose fit it reads.
 ORDER = {
     "01-first-fit": None, "02-your-own-drops": None, "03-your-own-motor": None, "04-python": None,
-    "05-landing-maps": None, "06-which-digits-to-believe": "01-first-fit", "the-model": None,
+    "05-landing-maps": None, "06-which-digits-to-believe": "01-first-fit",
+    "07-numbers-for-simulators": "03-your-own-motor", "the-model": None,
     "fit-report-gear": "01-first-fit", "fit-report-motor": "03-your-own-motor",
 }  # fmt: skip
 # A notebook takes no longer [s]; the limit of a cell leaves room for a busy machine.

@@ -7,3 +7,4 @@ SAMPLES = ROOT / "data_samples"
 PUBLISHED = SAMPLES / "published"
 # Real public logs, which are not part of the repository; tests that read them skip where they are absent.
 DATA = ROOT.parent / "shared" / "data"
+REAL = ROOT.parent / "shared" / "real"

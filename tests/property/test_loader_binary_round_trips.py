@@ -119,7 +119,7 @@ def test_c3d_of_dec_reads_as_that_of_intel(tmp_path, seed):
     assert path.read_bytes() != data
     assert_c3d(load(path), *content, 1e-3)
     path.write_bytes(other_processor(data, 86))
-    refuses(path, "numbers of an SGI/MIPS processor, which ezc3d does not read; export it again")
+    refuses(path, "in the number format of SGI/MIPS processors, which ezc3d does not read; export it again")
 
 
 @pytest.mark.parametrize(("order", "mark"), [(86, 84), (84, 86), (86, 85), (85, 84), (84, 85)])

@@ -283,7 +283,12 @@ def test_refusals_name_the_log_and_the_trial(tmp_path: Path) -> None:
     blank = table.copy()
     blank[:, command] = np.nan
     write_table(log, header, blank)
-    with pytest.raises(LogError, match=r"forward-1\.csv"):
+    # The levels of the speed serve as steps, which says nothing of a reversal.
+    with pytest.warns(match="no command is logged"):
+        _, bench = bench_of(path)
+    assert not bench.trials[0].log.commanded
+    edited(path, (r'(log = "forward-1\.csv"\n)direction = "forward"', r'\1direction = "reversal"'))
+    with pytest.raises(LogError, match=r"forward-1\.csv.*: has no command; a reversal trial needs"):
         bench_of(path)
 
 

@@ -54,6 +54,8 @@ def test_floats_come_back_bit_for_bit(values):
         ("[1]", "not a note of sysid"),
         ('{"schema": "sysid-note", "version": 1}', "version 1, expected 2"),
         ('{"schema": "sysid-note", "version": 2, "val', "damaged or cut off"),
+        ("[" * 100_000, "damaged or cut off .*recursion"),
+        ('{"schema": "sysid-note", "version": ' + "9" * 5000 + "}", "damaged or cut off .*digits"),
         ('{"schema": "sysid-note", "version": 2}', r"damaged .*values: it is missing"),
         ('{"schema": "sysid-note", "version": 2, "values": [], "colour": 1}', "damaged .*colour"),
         ('{"schema": "sysid-note", "version": 2, "values": [], "rows": [{}]}', r"damaged .*rows\.0\.name"),
@@ -63,6 +65,30 @@ def test_refusals(text, words):
     with pytest.raises(FitError, match=f"^note.json: .*{words}") as refusal:
         Note.parse(text, "note.json", FitError)
     assert "\n" not in str(refusal.value)
+
+
+class Letter(Document):
+    WHAT = "a letter"
+    MIGRATIONS = {  # noqa: RUF012
+        1: lambda old: {"schema": old["schema"], "words": old["said"]},
+        2: lambda old: old | {"weight": "NaN"},
+    }
+    schema_: Literal["sysid-letter"] = Field("sysid-letter", alias="schema")
+    version: Literal[3] = 3
+    words: str
+    weight: float
+
+
+def test_an_older_document_is_read_by_one_function_for_each_version():
+    first = Letter.parse('{"schema": "sysid-letter", "version": 1, "said": "hello"}', "letter.json")
+    assert (first.version, first.words) == (3, "hello")
+    assert math.isnan(first.weight)
+    second = Letter.parse('{"schema": "sysid-letter", "version": 2, "words": "hello"}', "letter.json")
+    assert second.words == first.words
+    with pytest.raises(FitError, match="of version 4, expected 3; read it with the version of sysid that"):
+        Letter.parse('{"schema": "sysid-letter", "version": 4}', "letter.json", FitError)
+    with pytest.raises(FitError, match="damaged or cut off"):
+        Letter.parse('{"schema": "sysid-letter", "version": 2}', "letter.json", FitError)
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)

@@ -223,7 +223,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
             raise UnitError(
                 f"{path}: such a log does not state its units; declare them, for example "
                 'units = {force = "N", torque = "N*m"} or {force = "lbf", torque = "lbf-in"}'
-            )
+            ).asking(units={"force": "N", "torque": "N*m"})
         if isinstance(loads, Mapping) and "thrust" in loads and "force" not in loads:
             loads = {("force" if name == "thrust" else name): unit for name, unit in loads.items()}
         if not isinstance(loads, Mapping) or set(loads) != {"force", "torque"}:
@@ -268,7 +268,10 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
             notes.append(note("first-column-counts-rows", sentence))
         notes.append(note("time-from-rate", f"time rebuilt from the rate of {rate:g} Hz"))
     else:
-        raise LogError(f"{path}: no time column and no rate in the header; declare it [Hz] with rate = ...")
+        refusal = LogError(
+            f"{path}: no time column and no rate in the header; declare it [Hz] with rate = ..."
+        )
+        raise refusal.asking(rate=None)
     load = numbers.stacked(range(lead, lead + 6))
     blank = int(np.isnan(load).all(axis=1).sum())
     notes += [note("blank-rows", f"blank rows, taken as missing: {blank}")] if blank else []

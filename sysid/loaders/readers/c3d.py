@@ -76,8 +76,8 @@ class _C3d:
             raise LogError(f"{self.path}: not a C3D file (no parameter section where its first byte points)")
         if processor == _MIPS:
             raise LogError(
-                f"{self.path}: a C3D file with the numbers of an SGI/MIPS processor, which ezc3d does not "
-                "read; export it again with those of Intel"
+                f"{self.path}: a C3D file in the number format of SGI/MIPS processors, which ezc3d does not "
+                "read; export it again in Intel's number format"
             )
         whole = struct.unpack_from("<12H", source.head)
         self.first, self.last, self.ratio = whole[3], whole[4], max(whole[9], 1)

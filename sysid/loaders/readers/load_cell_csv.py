@@ -11,8 +11,7 @@ Ignores cross-talk and temperature: the writer's calibration is taken as it is.
 from __future__ import annotations
 
 from sysid.errors import LogError
-from sysid.journal import note
-from sysid.loaders.clock import DECLARE_RATE, declared_rate, jitter_note, order_rows, rate_clock
+from sysid.loaders.clock import declared_rate, row_clock
 from sysid.loaders.columns import NamedTable, listing, parse_header, unread_note
 from sysid.loaders.load_cell import (
     BESIDE,
@@ -67,7 +66,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
         raise LogError(
             f"{path}: no time column among {listing(column.label for column in header)}; name it with "
             'columns = {time = "..."}, or declare the sample rate [Hz] with rate = ...'
-        )
+        ).asking(rate=None)
     seconds = declared.factor(clock, "time", "s") if clock else 1.0
     factors = {
         name: declared.factor(column, name, unit, "rpm" if column.stem == "rpm" else None)
@@ -81,14 +80,8 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
     wanted += [pulses] if pulses is not None and per_revolution is not None else []
     numbers = table.read(wanted)
     notes = numbers.notes
-    if rate is not None:
-        stated = numbers.columns[clock.index] * seconds if clock else None
-        time = rate_clock(path, rate, numbers.lines.size, stated)
-        notes.append(note("time-from-rate", f"time rebuilt from the declared rate of {rate:g} Hz"))
-    else:
-        assert clock is not None
-        time, ordered = order_rows(path, numbers, clock.index, seconds, options=options, coarse=DECLARE_RATE)
-        notes += [*ordered, *jitter_note(time)]
+    time, timed = row_clock(path, numbers, clock.index if clock else None, seconds, rate, options)
+    notes += timed
     raw = RawTable("signals", "", time, [*notes, *declared.notes])
     if command:
         raw.channels["command"] = Channel("command", protocol, time, numbers.columns.pop(command.index))
@@ -104,5 +97,7 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
 
 FORMAT = table_format(
     "load-cell-csv", "six-axis load cell CSV (time or rate, command, speed, Fz, Mz)", _recognize, _parse,
-    {"rate": (), "units": (), "columns": (), "pulses_per_revolution": (), "time_back": ()},
+    {
+        "rate": (), "units": (), "columns": (), "pulses_per_revolution": (), "time_back": (), "segment": (),
+    },
 )  # fmt: skip

@@ -23,7 +23,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.clock import began_note
+from sysid.loaders.clock import began_note, chosen_segment
 from sysid.loaders.columns import factor_or_none
 from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO
@@ -53,6 +53,8 @@ _HEADER_LINES = 100
 # Largest number of significant digits with which a written time step is exact (0.001). A step with more
 # digits and fewer than `_DIGITS` is rounded (0.000977 for 1/1024).
 _EXACT = 2
+# Digits of the largest count of samples that a header may state.
+_MOST_DIGITS = 18
 # Least number of significant digits with which a written time step is precise enough.
 _DIGITS = 5
 
@@ -174,7 +176,11 @@ def _segment_signals(
             Signal(f"/{label}", written_unit(unit), partial(np.asarray, values), rate, start, time, label)
         )
     notes += numbers.notes
-    counts = [cell for cell in segment.header.get("samples", []) if cell.isascii() and cell.isdigit()]
+    counts = [
+        cell
+        for cell in segment.header.get("samples", [])
+        if cell.isascii() and cell.isdigit() and len(cell) < _MOST_DIGITS
+    ]
     notes += promised_note("Samples", max(map(int, counts), default=0), numbers.lines.size)
     steps = {cell: re.split("[eE]", cell)[0] for cell in segment.header.get("delta_x", [])}
     digits = {cell: len(re.sub("[.,]", "", step.lstrip("+-0.,")).rstrip("0")) for cell, step in steps.items()}
@@ -214,19 +220,11 @@ def _parse(source: Source, options: BenchOptions) -> Iterator[RawSignals]:
     settings, delimiter, segments = _segments(text)
     if not segments:
         raise LogError(f"{path}: no row X_Value with the names of channels; the log is empty")
-    if options.segment is None and len(segments) > 1:
-        raise LogError(
-            f"{path}: has {len(segments)} segments, each on another clock; choose one with segment = 1 "
-            f"to {len(segments)}"
-        )
-    number = 1 if options.segment is None else options.segment
-    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= len(segments):
-        raise LogError(f"{path}: segment = {options.segment!r}; the file has segments 1 to {len(segments)}")
-    chosen = segments[number - 1]
+    place, notes = chosen_segment(path, options.segment, len(segments), "each is on another clock")
+    chosen = segments[place]
     decimal = settings.get("decimal_separator") or None
     if decimal not in (None, ".", ","):
         raise LogError(f"{path}: the header's Decimal_Separator is {decimal!r}; expected . or ,")
-    notes: list[Finding] = []
     signals = _segment_signals(
         text.up_to(chosen.rows[1]), chosen, delimiter, decimal, options.rate is not None, notes
     )

@@ -104,8 +104,13 @@ def _read_header(text: Text) -> _Header:
         )
     labelled = {row[1].casefold(): row for row in upper if len(row) > 1 and row[1]}
     below = upper[upper.index(types) + 1 :]
-    names = labelled.get("name", below[0])
+    names = labelled.get("name", below[0] if below else [])
     ids = labelled.get("id", below[1] if len(below) > 1 else names)
+    if components not in below and not labelled.keys() >= {"name", "id"}:
+        raise LogError(
+            f"{text.path}: the row of components (Position) stands above the row of types (Rigid Body), not "
+            "in Motive's order; export again"
+        )
 
     def cell(row: list[str], index: int) -> str:
         return row[index] if index < len(row) else ""

@@ -88,7 +88,7 @@ def _quaternion_columns(table: NamedTable, order: str | None) -> list[Column]:
             raise LogError(
                 f"{path}: quaternion columns {labels} do not say which of them is w; "
                 'declare quaternion_order = "wxyz" or "xyzw"'
-            )
+            ).asking(quaternion_order=[numbered[number].label for number in sorted(numbered)])
         placed_columns = [numbered[number] for number in sorted(numbered)]
         return [placed_columns[order.index(axis)] for axis in "wxyz"]
     missing = [f'"q{axis}"' for axis in "wxyz" if axis not in named]
@@ -110,7 +110,7 @@ def _scales(
             raise UnitError(
                 f"{path}: position columns {listing(position[a].label for a in 'xyz')} state no unit; "
                 'declare it, for example length_unit = "m"'
-            )
+            ).asking(length_unit=[position[axis].label for axis in "xyz"])
         factor = declared.factor(column, axis, "m", length_unit)
         if length_unit is not None and factor != factor_to_si(length_unit, "m"):
             raise UnitError(f'{path}: length_unit = "{length_unit}" contradicts column "{column.label}"')
@@ -164,7 +164,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
             raise UnitError(
                 f'{path}: column "{stamp.label}" states no unit and its steps of {step:g} cannot be seconds; '
                 + declare_unit(stamp.label, "ms")
-            )
+            ).asking(units={stamp.label: "s"})
         notes.append(note("time-unit-assumed", f'column "{stamp.label}" states no unit: read as seconds'))
     jitter = jitter_note(time)
     notes += jitter
@@ -186,6 +186,6 @@ FORMAT = capture_format(
     "pose-table", "plain pose table t,x,y,z,q... of one body", _recognize, _parse,
     {
         "quaternion_order": ("wxyz", "xyzw"), "length_unit": (), "units": (), "columns": (), "rigid_body": (),
-        "clock": ("auto", "time", "frame"), "time_back": (),
+        "clock": ("auto", "time", "frame"), "time_back": (), "segment": (),
     },
 )  # fmt: skip

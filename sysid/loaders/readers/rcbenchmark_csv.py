@@ -136,12 +136,14 @@ def _command_unit(
         f'{path}: command column "{column.label}" states no unit and runs from {smallest:g} to {largest:g}, '
     )
     if largest > _LARGEST_DSHOT or smallest < 0.0:
-        raise UnitError(f"{fault}beyond DShot 0 to 2047; {declare_unit('command', 'us')}")
+        raise UnitError(f"{fault}beyond DShot 0 to 2047; {declare_unit('command', 'us')}").asking(
+            units={column.label: "command"}
+        )
     if smallest >= _PULSE[0] and largest <= _PULSE[1]:
         raise UnitError(
             f"{fault}as pulse widths in us do and DShot from rest does not; "
             f'{declare_unit("command", "us")} or {{command = "dshot"}} (in a campaign, log.command_unit)'
-        )
+        ).asking(units={column.label: "command"})
     notes.append(note("command-unit-assumed", "the command column states no unit: read as DShot 0 to 2047"))
     return "dshot"
 
@@ -184,7 +186,7 @@ def _clock(
             raise LogError(
                 f'{table.path}: no column "Time", so rows have no clock; if each row is one averaged point, '
                 "say so with static = true"
-            )
+            ).asking(static=True)
         static = True
     elif static is None:
         static = apart
@@ -197,7 +199,9 @@ def _clock(
         points = np.arange(numbers.lines.size, dtype=np.float64)
         notes = _point_notes(numbers, written)
         return points, points if written is None else written, notes
-    time, ordered = order_rows(table.path, numbers, column.index, seconds, options=options, stale_start=True)
+    time, ordered = order_rows(
+        table.path, numbers, column.index, seconds, options=options, stale_start=True, segmented=True
+    )
     return time, None, ordered
 
 
@@ -263,5 +267,5 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
 
 FORMAT = table_format(
     "rcbenchmark-csv", "RCbenchmark / Tyto thrust stand CSV (Series 1520, 1580, 1585, 1780)", _recognize,
-    _parse, {"units": (), "static": (), "time_back": ()},
+    _parse, {"units": (), "static": (), "time_back": (), "segment": ()},
 )  # fmt: skip

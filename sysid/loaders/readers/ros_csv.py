@@ -27,7 +27,8 @@ _ARRIVAL, _STAMP = "%time", "field header stamp"
 _SEQUENCE = "field header seq"
 # Shortest step of a topic of poses [ns]; smaller numbers are of another unit.
 _FEWEST_NANOSECONDS = 1000.0
-# Names of the columns of a pose; those of its covariance have numbers instead of axes.
+# Axes of a pose's position and orientation, and the patterns of their columns' names. Columns of the pose's
+# covariance end in numbers instead of axes, so that no pattern matches them.
 _POSE = {
     "position": ("xyz", re.compile(r"^.* (?:position|translation) ([xyz])$")),
     "orientation": ("wxyz", re.compile(r"^.* (?:orientation|rotation) ([wxyz])$")),
@@ -109,5 +110,8 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
 
 FORMAT = capture_format(
     "ros-csv", "ROS pose topic as CSV (rostopic echo -p)", _recognize, _parse,
-    {"rigid_body": (), "length_unit": (), "clock": ("header", "arrival", "frame"), "time_back": ()},
+    {
+        "rigid_body": (), "length_unit": (), "clock": ("header", "arrival", "frame"), "time_back": (),
+        "segment": (),
+    },
 )  # fmt: skip

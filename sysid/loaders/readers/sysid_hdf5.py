@@ -124,6 +124,11 @@ def _read(source: Source) -> Recording:
         items = {name: item for name, item in log.datasets.items() if name.startswith("/channels/")}
         for where, item in sorted(items.items(), key=lambda entry: int(entry[1].attrs["index"])):
             name, clock = _text(item.attrs, "name"), int(item.attrs["clock"])
+            if not name:
+                raise LogError(
+                    f"{source.path}: the channel at {where} has no name, so the file is damaged; convert the "
+                    "log again"
+                )
             if clock not in clocks:
                 clocks[clock] = log.numbers(f"/clocks/{clock}", log.datasets[f"/clocks/{clock}"])
             channels[name] = Channel(name, _text(item.attrs, "unit"), clocks[clock], log.numbers(where, item))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +37,12 @@ _FARTHEST = 100.0
 _WRONG_GRAVITY, _CROOKED = 0.03, np.radians(5.0)
 # Largest tilt of a body that hangs level by eye, with axes defined on a table [rad].
 _TILTED = np.radians(10.0)
+# Acceleration of a body [m/s²] that no impact between two frames explains, and the least jump of it [m].
+_IMPOSSIBLE, _LEAST_JUMP = 2_000.0, 0.01
+# Share of a log without a value of a channel, from which it is suspicious [1].
+_MUCH = 1.0 / 3.0
+# Share of the speeds of both neighbours below which a single sample has dropped out [1].
+_DROPPED = 0.7
 # Words of a sentence for units of length whose name as an option differs.
 _IN_WORDS = {"inch": "inches", "foot": "feet", "m": "metres, read as mm"}
 # Highest speed of a drone's propeller motor [rad/s] (95 000 rpm); a number beyond was meant in rpm.
@@ -181,6 +187,8 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
     suspicions += [
         Finding("blank-channel", f"{c.name} has no value at all") for c in channels if c.blank == 1.0
     ]
+    if clock:
+        suspicions += _lost(recording, channels)
     clocks = [channel.time for channel in recording.channels.values() if channel.time.size]
     first, last = min((t[0] for t in clocks), default=0.0), max((t[-1] for t in clocks), default=0.0)
     provenance = recording.provenance
@@ -189,6 +197,49 @@ def inspect_recording(recording: Recording, gravity: float = STANDARD_GRAVITY) -
         float(last - first) if clock else math.nan,
         channels, drop, bench, tuple(suspicions), provenance.notes,
     )  # fmt: skip
+
+
+def _lost(recording: Recording, channels: Sequence[ChannelReport]) -> Iterator[Finding]:
+    """Yield suspicions of parts that a log does not have: much of a channel, rows without any value."""
+    captured = recording.kind == "motion-capture"
+    for report in channels:
+        time = recording.channels[report.name].time
+        # A slow sensor beside a fast one is blank in most rows and never for long.
+        part = report.blank if captured else report.longest_blank / max(float(np.ptp(time)), 1e-300)
+        if part >= _MUCH and report.blank < 1.0:
+            where = "of the frames" if captured else "of the log at a stretch"
+            yield Finding("much-lost", f"{report.name} has no value in {100 * part:.0f} % {where}")
+    rows: dict[tuple[float, ...], list[Channel]] = {}
+    for channel in recording.channels.values():
+        clock = (channel.time.size, *channel.time[[0, -1]]) if channel.time.size else ()
+        rows.setdefault(clock, []).append(channel)
+    for members in rows.values():
+        # A body has two channels and is lost in both.
+        if len({channel.name.rpartition("/")[0] or channel.name for channel in members}) > 1:
+            blank = ~np.logical_or.reduce([channel.valid for channel in members])
+            if blank.any() and not blank.all():
+                first = members[0].time[np.argmax(blank)]
+                sentence = f"rows without any value: {int(blank.sum())} (first: at {first:.6g} s)"
+                yield Finding("blank-rows", sentence)
+
+
+def _jumps(body: str, channel: Channel) -> Iterator[Finding]:
+    """Yield a suspicion of a body that is elsewhere in one frame, or from one frame on."""
+    time, place = channel.time[channel.valid], channel.values[channel.valid]
+    if time.size < 3:
+        return
+    steps = np.diff(time)
+    step = float(np.median(steps))
+    even = np.maximum(steps[1:], steps[:-1]) < 1.5 * step
+    bend = np.linalg.norm(np.diff(place, 2, axis=0), axis=1) * even
+    if bend.max() > max(_LEAST_JUMP, _IMPOSSIBLE * step**2):
+        worst = int(bend.argmax()) + 1
+        size = max(float(np.linalg.norm(place[worst] - place[worst + way])) for way in (-1, 1))
+        yield Finding(
+            "jump",
+            f"{body} jumps by {1e3 * size:.3g} mm in one frame at {time[worst]:.6g} s, which no motion "
+            "explains: a marker was taken for another, or the row is damaged",
+        )
 
 
 def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: float) -> Iterator[Finding]:
@@ -203,6 +254,9 @@ def _capture_suspicions(recording: Recording, drop: DropReport | None, gravity: 
             "length-unit",
             f"{name} reaches {distance:.4g} m: lengths are probably mm; {length_advice(recording, 'mm')}",
         )
+    elif drop is None or not drop.length_unit:  # in a wrong unit, noise is a jump
+        for body in recording.rigid_bodies:
+            yield from _jumps(body, recording[f"{body}/position"])
     if drop is None:
         return
     if drop.length_unit:
@@ -340,15 +394,30 @@ def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
         if np.isfinite(rest) and abs(rest) > _TARE * np.ptp(known[name].values[known[name].valid]) > 0:
             sentence = f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it"
             found.append(Finding("no-tare", sentence))
+    if "speed" in known:
+        time, turns = known["speed"].time[known["speed"].valid], known["speed"].values[known["speed"].valid]
+        before, here, after = np.abs(turns[:-2]), np.abs(turns[1:-1]), np.abs(turns[2:])
+        least = np.minimum(before, after)
+        steady = (np.abs(after - before) < 0.1 * least) & (least > 0.1 * report.top_speed)
+        lost = np.flatnonzero(steady & (here < _DROPPED * least))
+        if lost.size:
+            first = int(lost[0])
+            sentence = (
+                f"speed drops out for single samples: {lost.size} (first: {here[first]:.4g} rad/s at "
+                f"{time[first + 1]:.6g} s, between {before[first]:.4g} and {after[first]:.4g}), which no "
+                "propeller can follow: the probe missed pulses"
+            )
+            found.append(Finding("speed-drop-outs", sentence))
     if "speed" in known and "thrust" in known:
         speed, thrust = known["speed"], known["thrust"]
-        turning: FloatArray = np.interp(
-            thrust.time, speed.time[speed.valid], np.abs(speed.values[speed.valid])
-        )
-        fast = thrust.values[thrust.valid & (turning > 0.7 * turning.max())]
-        slow = thrust.values[thrust.valid & (turning < 0.2 * turning.max())]
-        enough = fast.size >= 5 and slow.size >= 5
-        if enough and np.median(fast) - np.median(slow) < -3.0 * np.std(slow):
+        signed: FloatArray = np.interp(thrust.time, speed.time[speed.valid], speed.values[speed.valid])
+        turning = np.abs(signed)
+        fast = thrust.valid & (turning > 0.7 * turning.max())
+        slow = thrust.valid & (turning < 0.2 * turning.max())
+        idle = thrust.values[slow]
+        # A signed speed says itself that the propeller turns in reverse.
+        along = np.sign(signed[fast]) * (thrust.values[fast] - (np.median(idle) if idle.size else 0.0))
+        if along.size >= 5 and idle.size >= 5 and np.median(along) < -3.0 * np.std(idle):
             sentence = "thrust falls when the speed rises: the sign of the axis is reversed, or the propeller"
             found.append(Finding("thrust-falls", f"{sentence} turns in reverse"))
     sides = ("force_x", "force_y")

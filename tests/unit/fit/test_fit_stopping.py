@@ -11,6 +11,7 @@ from sysid.errors import FitError
 from sysid.fit import stopping
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import REASONS, CutShort, Deadline, stop_on_interrupt
+from sysid.interrupt import heard_interrupts
 
 RELATIVE = SearchSettings(stop_reading="relative")
 MATLAB = SearchSettings(stop_reading="matlab")
@@ -148,3 +149,14 @@ def test_a_deadline_is_over_when_its_time_is_or_the_user_says_so(monkeypatch):
     with pytest.raises(CutShort, match="stopped by the user") as cut:
         unlimited.check()
     assert cut.value.reason == "interrupted"
+
+
+def test_the_sigterm_of_a_scheduler_is_ctrl_c():
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), heard_interrupts():
+        signal.raise_signal(signal.SIGTERM)
+    # A search under way is asked to stop, as by Ctrl-C.
+    with heard_interrupts(), stop_on_interrupt() as flag:
+        signal.raise_signal(signal.SIGTERM)
+        assert flag.wait(5.0)
+    assert signal.getsignal(signal.SIGTERM) is before

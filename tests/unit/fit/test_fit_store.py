@@ -58,6 +58,63 @@ def test_folder_is_a_parameter_set_source(tmp_path):
     assert document["sets"][0]["values"]["saturation_current"] == "Infinity"
 
 
+def changed(path, change):
+    document = json.loads(path.read_text(encoding="utf-8"))
+    change(document)
+    path.write_text(json.dumps(document), encoding="utf-8")
+
+
+def test_a_copy_that_states_other_sets_is_refused_wherever_the_fit_is_opened(tmp_path):
+    path = write_fit(full_fit(), tmp_path / "bench")
+    changed(path / "fit.json", lambda d: d["sets"][1]["values"].update(leg_axial_stiffness=9999.0))
+    words = r"fit.json: states 9999 for leg_axial_stiffness of set 2, where fit.h5 beside it has \d"
+    for name in (".", "fit.json", "fit.h5"):
+        for read in (sysid.load_parameter_sets, sysid.load_fit):
+            if (read, name) != (sysid.load_fit, "fit.json"):
+                with pytest.raises(FitError, match=words):
+                    read(path / name)
+    # Elsewhere it is a file of sets like any other.
+    copy = tmp_path / "fit.json"
+    copy.write_bytes((path / "fit.json").read_bytes())
+    assert sysid.load_parameter_sets(copy)["leg_axial_stiffness"][1] == 9999.0
+    (path / "fit.json").write_text("{", encoding="utf-8")
+    with pytest.raises(FitError, match=r"damaged or cut off .*; restore the file that was changed"):
+        read_fit(path)
+    (path / "fit.json").unlink()
+    assert sysid.load_parameter_sets(path) == full_fit().parameter_sets()
+
+
+def test_a_flipped_bit_in_a_long_array_is_seen(tmp_path):
+    path = write_fit(full_fit(), tmp_path / "bench") / "fit.h5"
+    with h5py.File(path) as file:
+        chunk = file["trials/1/simulated"].id.get_chunk_info(0)
+    data = bytearray(path.read_bytes())
+    # Deflate has a checksum of its own at its end, HDF5's follows it.
+    data[chunk.byte_offset + chunk.size - 1] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(FitError, match="damaged or cut off"):
+        read_fit(path)
+
+
+def test_an_older_file_is_read_by_one_function_for_each_version(tmp_path):
+    whole = write_fit(full_fit(), tmp_path / "bench") / "fit.h5"
+    before = whole.read_bytes()
+
+    def rename(file):
+        file.attrs["state"] = file.attrs["old_state"]
+
+    newer = replace(store.FIT_FILE, version=5, migrations={3: lambda file: None, 4: rename})
+    with h5py.File(whole, "r+") as file:
+        file.attrs["old_state"] = "stopped"
+    old = whole.read_bytes()
+    with newer.opened(whole) as file:
+        assert (file.attrs["version"], file.attrs["state"]) == (5, "stopped")
+    assert whole.read_bytes() == old
+    whole.write_bytes(before)
+    with pytest.raises(FitError, match="damaged or cut off"), newer.opened(whole):
+        pass
+
+
 def test_mean_nrmse_weights_channels_and_splits_uses():
     fit = full_fit()
     by_trial = fit.nrmse_by_trial @ np.array([0.25, 0.75])

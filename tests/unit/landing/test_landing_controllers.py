@@ -64,6 +64,7 @@ def test_a_user_adds_a_controller_in_ten_lines(write):
         ("command:1.5", "expected -1 to 1"),
         ("impulse:delay=5kg,duration=0.1", "expected a unit of that dimension"),
         ("impulse:delay=-0.1,duration=0.2", "in the order of time"),
+        ("impulse:delay=50ms,duration=nan", "'nan' is not finite"),
         ("off:1", "its options are none"),
     ],
 )

@@ -117,6 +117,14 @@ def test_mistakes_are_one_sentence(kind, old, new, sentence, tmp_path):
     assert "more)" not in str(caught.value)
 
 
+@pytest.mark.parametrize("value", ["[" * 100_000, "[" * 900 + "]" * 900, "9" * 5000, "{a=" * 50_000])
+def test_a_campaign_without_end_is_refused(value, tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text(f'kind = "gear"\nx = {value}\n', encoding="utf-8")
+    with pytest.raises(CampaignError, match=r"c.toml: not valid TOML: .*; correct that line"):
+        read_campaign(path)
+
+
 def test_wrong_kind_and_missing_files(tmp_path):
     path = _write(tmp_path, TEMPLATES["gear"])
     with pytest.raises(CampaignError, match="expected motor; use 'sysid fit-gear'"):

@@ -28,8 +28,10 @@ def test_broken_utf16_and_nul(write):
         read_text(Source(write("a,b\n".encode("utf-16") + b"\x00")))
     with pytest.raises(LogError, match=r"line 2: NUL byte"):
         read_text(Source(write(b"a,b\n1,\x002\n")))
+    # Without a mark, UTF-16 shows in every other byte.
+    assert read_text(Source(write("a,b\n1,2\n".encode("utf-16-le")))).data == b"a,b\n1,2\n"
     with pytest.raises(LogError, match=r"line 1: NUL byte"):
-        read_text(Source(write("a,b\n1,2\n".encode("utf-16-le"))))
+        read_text(Source(write("a,b\n1,2\n".encode("utf-16-le") + b"\x00")))
 
 
 NAN = np.nan
@@ -145,6 +147,55 @@ def test_times_by_iso_8601_count_from_the_first(write, head, rows):
     np.testing.assert_allclose(log["thrust"].time, np.arange(50) * 0.01, atol=1e-9)
     np.testing.assert_array_equal(log["thrust"].values, np.arange(50.0))
     assert "has ISO 8601 times: counted from 2026-11-22" in notes(log)
+
+
+def clock_times(pattern, begin, mark=","):
+    """Rows of 10 ms with times of day from `begin` [ms], written by `pattern` of h, m, s, ms and the half."""
+    rows = []
+    for i in range(50):
+        day, ms = divmod(begin + 10 * i, 86_400_000)
+        hour, minute, second = ms // 3_600_000, ms // 60_000 % 60, ms // 1000 % 60
+        stamp = pattern.format(
+            h=hour,
+            m=minute,
+            s=second,
+            ms=ms % 1000,
+            d=5 + day,
+            half="AP"[hour // 12],
+            h12=(hour - 1) % 12 + 1,
+        )
+        rows.append(f"{stamp}{mark}{i}{mark}5\n")
+    return "".join(rows)
+
+
+@pytest.mark.parametrize("begin", [62_048_947, 86_399_800], ids=["afternoon", "past midnight"])
+@pytest.mark.parametrize("pattern", [
+    "{h:02}:{m:02}:{s:02}:{ms:03}", "{h}:{m:02}:{s:02}.{ms:03}", '"{h:02}:{m:02}:{s:02}.{ms:03}000"',
+    "2019-11-{d:02} {h:02}:{m:02}:{s:02}:{ms:03}", "2019-11-{d:02}T{h:02}:{m:02}:{s:02}.{ms:03}",
+    "11/{d}/2019 {h12}:{m:02}:{s:02}.{ms:03} {half}M", "{d}.11.2019 {h:02}:{m:02}:{s:02}.{ms:03}",
+])  # fmt: skip
+def test_clock_times_count_from_the_first(write, pattern, begin):
+    log = load(write(STAMPED + clock_times(pattern, begin), "log.csv"))
+    np.testing.assert_allclose(log["thrust"].time, np.arange(50) * 0.01, atol=1e-9)
+    np.testing.assert_array_equal(log["thrust"].values, np.arange(50.0))
+    assert "counted from " in notes(log)
+
+
+def test_times_of_day_that_are_none_are_refused(write):
+    rows = clock_times("{h:02}:{m:02}:{s:02}.{ms:03}", 62_048_947)
+    refuses(
+        write(STAMPED + rows.replace("17:14:09", "17:64:09"), "log.csv"), "not all times of day of one kind"
+    )
+    refuses(
+        write(STAMPED + rows.replace("17:14:09", "25:14:09"), "log.csv"), "not all times of day of one kind"
+    )
+
+
+def test_a_row_past_midnight_that_comes_late_stays_on_its_day(write):
+    rows = clock_times("{h:02}:{m:02}:{s:02}.{ms:03}", 86_399_800).splitlines(keepends=True)
+    rows[19:21] = rows[20], rows[19]
+    log = load(write(STAMPED + "".join(rows), "log.csv"))
+    np.testing.assert_allclose(log["thrust"].time, np.delete(np.arange(50), 19) * 0.01, atol=1e-9)
 
 
 def test_times_by_iso_8601_that_contradict_each_other_are_refused(write):

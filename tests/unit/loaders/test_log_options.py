@@ -143,9 +143,9 @@ def test_a_trial_wins_over_the_campaign_and_must_fit_its_format(tmp_path):
 
 def test_an_option_that_no_log_takes_is_said(tmp_path):
     (tmp_path / "log.csv").write_text(CELL, encoding="utf-8")
-    stated, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nsegment = 2", trial=""))
+    stated, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\ntare = '1 s'", trial=""))
     with pytest.warns(
-        SysidWarning, match=r"log\.segment has no effect: .* load-cell-csv, and it is for lvm;"
+        SysidWarning, match=r"log\.tare has no effect: .* load-cell-csv, and it is for ati-text, "
     ):
         check_options(stated, path)
     stated, path = campaign(tmp_path, MOTOR.format(log="speed_unit = 'rpm'\nrate = '100 Hz'", trial=""))

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import h5py
 import numpy as np
@@ -28,6 +29,37 @@ def test_a_frequency_stays_a_frequency():
     assert factor_to_si("1/min", "Hz") == pytest.approx(1 / 60, rel=1e-12)
     with pytest.raises(UnitError):
         factor_to_si("1/s", "rad/s")
+
+
+@pytest.mark.parametrize(("text", "expected", "sentence"), [
+    ("36.4 %", "deg", "the angle atan(p/100), so write '20 deg' for 36.4 %"),
+    ("20 deg deg", "deg", "an angle that the other lacks"),
+    ("20 m/m", "rad", "an angle that the other lacks"),
+    ("1 sr", "rad", "an angle that the other lacks"),
+    ("408 rad/s", "Hz", "an angle that the other lacks"),
+    ("2 deg", "1", "an angle that the other lacks"),
+    ("0.5 N·m", "N·m/rad", "an angle that the other lacks"),
+])  # fmt: skip
+def test_a_unit_with_an_angle_is_none_without(text, expected, sentence):
+    with pytest.raises(UnitError, match=re.escape(sentence)):
+        parse_quantity(text, expected)
+
+
+@pytest.mark.parametrize(
+    "unit", ["m*9**9**9**9", "m*(9)**(9)**(9)**(9)", "m*9⁹**9**9", "m^(9^9^9)", "m" * 10**6]
+)
+def test_a_unit_of_endless_digits_is_no_unit(unit):
+    with pytest.raises(UnitError, match="unknown unit"):
+        parse_quantity(f"1 {unit}", "m")
+
+
+def test_a_broken_installation_is_no_typo(monkeypatch):
+    def missing():
+        raise ImportError("pint lacks flexparser")
+
+    monkeypatch.setattr("sysid.units._registry", missing)
+    with pytest.raises(ImportError):
+        factor_to_si("parsec·fortnight")
 
 
 @pytest.mark.parametrize(("unit", "factor"), [

@@ -72,6 +72,77 @@ def test_drop_is_found_whatever_is_up(up, height):
     assert ("axis-down" in codes, "axes-swapped" in codes) == (up[0] == "-", up[1] == "x")
 
 
+def codes(log):
+    return {finding.code for finding in inspect_recording(log).suspicions}
+
+
+def changed(log, name, change):
+    """Return the recording with the values of a channel changed by a function of a copy."""
+    values = log[name].values.copy()
+    change(values)
+    channels = {**log.channels, name: Channel(name, log[name].unit, log[name].time, values)}
+    return recording(log.kind, *channels.values())
+
+
+@pytest.mark.parametrize(
+    ("frames", "jumps"), [(slice(150, 151), True), (slice(150, None), True), (slice(0), False)]
+)
+def test_a_jump_that_no_motion_explains_is_suspicious(frames, jumps):
+    """A row that was shifted by a cell reads x 444 mm off; a fall and a hard landing are no jump."""
+    log, _, _ = drop(height=0.4)
+
+    def shift(place):
+        place[frames, 0] += 0.444
+
+    doubts = [
+        f for f in inspect_recording(changed(log, "quad/position", shift)).suspicions if f.code == "jump"
+    ]
+    assert bool(doubts) is jumps
+    # The way of one frame of the fall, up to 14 mm, comes on top, at a right angle or along.
+    assert all(re.search("quad jumps by 44[3-5] mm in one frame at 3.7", str(doubt)) for doubt in doubts)
+
+
+@pytest.mark.parametrize(("lost", "suspicious"), [(0.3, False), (0.4, True)])
+def test_a_body_that_is_lost_in_a_third_of_the_frames_is_suspicious(lost, suspicious):
+    log, _, _ = drop()
+
+    def blank(place):
+        place[: int(lost * len(place))] = np.nan
+
+    assert ("much-lost" in codes(changed(log, "quad/position", blank))) is suspicious
+
+
+def test_rows_without_any_value_are_suspicious_and_a_slow_sensor_is_not():
+    time = np.arange(200) * 0.01
+    slow, fast = np.where(np.arange(200) % 20, np.nan, 1.0 + time), 100.0 + time
+    pair = Channel("thrust", "N", time, slow), Channel("speed", "rad/s", time, fast)
+    log = recording("thrust-stand", *pair)
+    assert not codes(log) & {"blank-rows", "much-lost"}
+
+    def blank(values):
+        values[101:105] = np.nan
+
+    found = inspect_recording(changed(log, "speed", blank)).suspicions
+    assert "rows without any value: 4 (first: at 1.01 s)" in map(str, found)
+    silent = changed(log, "thrust", lambda values: values.__setitem__(slice(100, None), np.nan))
+    assert "much-lost" in codes(silent)
+
+
+@pytest.mark.parametrize("missed", [(), (500,), (500, 900)])
+def test_single_samples_in_which_the_speed_drops_out_are_counted(missed):
+    """Steps of command at 143 Hz, of a rotor with 60 ms, whose probe misses pulses at a steady speed."""
+    random, time = np.random.default_rng(3), np.arange(1600) / 143.0
+    speed = np.zeros(time.size)
+    for i in range(1, time.size):
+        speed[i] = speed[i - 1] + ([300.0, 900.0, 1300.0, 200.0][i // 400] - speed[i - 1]) / (0.06 * 143.0)
+    speed += random.normal(size=time.size) * 2.0
+    speed[list(missed)] = 0.0
+    log = recording("thrust-stand", Channel("speed", "rad/s", time, speed))
+    found = [str(f) for f in inspect_recording(log).suspicions if f.code == "speed-drop-outs"]
+    assert len(found) == bool(missed)
+    assert all(f"single samples: {len(missed)} (first: 0 rad/s at 3.496" in said for said in found)
+
+
 @pytest.mark.parametrize("kind", ["gear-lf", "gear-hf"])
 def test_stated_errors_hold_the_truth_of_the_sample_drops(kind):
     truth = json.loads((SAMPLES / kind / "truth.json").read_text(encoding="utf-8"))

@@ -36,6 +36,7 @@ class Linear:
     scale: str = "linear"
     bend: float = 0.0
     common = 0
+    remedy = ""
 
     def only(self, names):
         kept = [self.names.index(name) for name in names]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sysid import exact_json
-from sysid.errors import FitError
+from sysid.errors import FitError, SysidWarning
 from sysid.fit.trial import Trial
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
@@ -198,8 +198,12 @@ def test_a_part_is_read_back_until_the_fit_changes(folder):
     assert found.fit_sha256 == hashlib.sha256(b"a fit").hexdigest()
     assert read_arrays(folder, part)["trials/1/time"] == pytest.approx(np.arange(100.0))
     assert parts(folder) == (part,)
+    (folder / f"{part}.h5").write_bytes(b"other arrays")
+    with pytest.warns(SysidWarning, match=r"is not used: what it says is of another validation-\S+h5 than"):
+        assert ValidationDocument.read(folder, part) is None
     (folder / "fit.h5").write_bytes(b"another fit")
-    assert ValidationDocument.read(folder, part) is None
+    with pytest.warns(SysidWarning, match=r"is not used: what it says is of another fit.h5 than lies beside"):
+        assert ValidationDocument.read(folder, part) is None
     assert TrustDocument.read(folder) is None
 
 

@@ -23,6 +23,7 @@ from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.cli.adapter import command
 from sysid.fit.store import write_fit
+from sysid.motor.bench_logs import campaign_range, read_log
 from sysid.trust.documents import Judgement
 
 
@@ -179,6 +180,52 @@ def test_a_minimal_campaign_says_what_the_logs_say_and_refuses_the_rest(tmp_path
         text = re.sub(rf'(?m)^{key} = "TODO[^"]*"', f'{key} = "{value}"', text)
     target.write_text(text.replace("TODO mm", "0 mm").replace("TODO", "35"), encoding="utf-8")
     assert read_campaign(target, "gear").trials[5].slope == pytest.approx(np.radians(35))
+
+
+@pytest.mark.parametrize(
+    ("levels", "direction"), [((0, 0.4, 1), "forward"), ((0, -0.4, -1), "reverse"), ((0.5, -0.5), "reversal")]
+)
+def test_shares_of_full_command_are_a_unit_of_campaigns(tmp_path, run, levels, direction):
+    rows = [f"{i / 100},{levels[i * len(levels) // 300]},{300 + i},1,0.01" for i in range(300)]
+    log, target = tmp_path / "duty.csv", tmp_path / "duty.toml"
+    log.write_text("\n".join(["Time (s),Command (1),Speed (rad/s),Fz (N),Mz (N·m)", *rows]), encoding="utf-8")
+    code, _, err = run("new-campaign", "motor", "--minimal", "--from", log, "--out", target)
+    assert code == 0, err
+    text = target.read_text(encoding="utf-8").replace("TODO rpm/V", "900 rpm/V")
+    text = text.replace("TODO kg·m²", "2e-5 kg·m²").replace("TODO V", "12 V")
+    target.write_text(text, encoding="utf-8")
+    campaign = read_campaign(target, "motor")
+    assert [trial.direction for trial in campaign.trials] == [direction]
+    u = campaign_range(campaign).to_u(np.array(levels), "1", "duty.csv")
+    np.testing.assert_array_equal(u, levels)
+
+
+def test_a_new_campaign_reads_the_logs_with_the_options_and_states_them(tmp_path, run, refused):
+    """A load cell without a clock and units: the options that `inspect` needs stand in the campaign."""
+    log, target = tmp_path / "cell.csv", tmp_path / "cell.toml"
+    log.write_text("tach,Fz,Mz,throttle\n" + "60,1,0.1,1100\n" * 50, encoding="utf-8")
+    options = {
+        "rate": ("1000", "1000 Hz"), "columns": ('{ speed = "tach" }', {"speed": "tach"}),
+        "units": ('{speed="rpm",Fz="N",Mz="mN*m",command="us"}',
+                  {"speed": "rpm", "Fz": "N", "Mz": "mN*m", "command": "us"}),
+    }  # fmt: skip
+    words = [word for name, (given, _) in options.items() for word in ("-o", f"{name}={given}")]
+    code, _, err = run("new-campaign", "motor", "--from", log, *words, "--out", target)
+    assert code == 0, err
+    assert tomllib.loads(target.read_text(encoding="utf-8"))["log"] == {
+        name: stated for name, (_, stated) in options.items()
+    }
+    measured = {"kv": "900 rpm/V", "rotor_inertia": "3e-5 kg·m²", "reference_voltage": "11 V"}
+    text = target.read_text(encoding="utf-8")
+    for key, value in measured.items():
+        text = re.sub(rf'(?m)^{key} = "TODO[^"]*"', f'{key} = "{value}"', text)
+    target.write_text(text, encoding="utf-8")
+    campaign = read_campaign(target, "motor")
+    recording, _ = read_log(campaign, target, campaign.trials[0])
+    assert recording["torque"].values[0] == pytest.approx(1e-4)
+    refused(["'tare' is for none"], "new-campaign", "motor", "--from", log, *words, "-o", "tare=1",
+            "--out", tmp_path / "none.toml")  # fmt: skip
+    assert not (tmp_path / "none.toml").exists()
 
 
 def test_a_minimal_motor_campaign_tells_directions_and_curves_apart(tmp_path, run, refused):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.io
 
+from fakes.places import SAMPLES
 from fakes.sets import made_sets
 from sysid.errors import ExportError
 from sysid.export import export, load_parameter_sets
@@ -81,18 +82,46 @@ def test_mat_is_a_structure_with_valid_names(tmp_path):
     long = ParameterRecord("a" * 70, "k", "N/m", "fixed", "", "")
     sets = made_sets(
         parameters=(*made_sets().parameters, odd, twin, long),
-        values=np.arange(21.0).reshape(3, 7),
+        values=np.arange(1.0, 22.0).reshape(3, 7),
         at_bound=np.zeros((3, 7)),
     )
     path = export(sets, tmp_path / "x.mat")
     content = scipy.io.loadmat(path, simplify_cells=True)["sysid"]
-    assert content["sets"][0]["leg_axial_stiffness"] == 0.0
-    assert content["sets"][1]["x_2_k_h"] == 11.0
-    assert content["sets"][1]["x_2_k_h_2"] == 12.0
+    assert content["sets"][0]["leg_axial_stiffness"] == 1.0
+    assert content["sets"][1]["x_2_k_h"] == 12.0
+    assert content["sets"][1]["x_2_k_h_2"] == 13.0
     fields = list(content["sets"][0])
     assert all(len(field) <= 63 and field.isidentifier() for field in fields)
     assert content["nrmse_by_trial"].shape == (3, 2, 2)
     assert load_parameter_sets(path) == sets
+
+
+def _unit(document):
+    next(row for row in document["parameters"] if row["name"] == "body_mass")["unit"] = "g"
+
+
+def _value(name, value):
+    return lambda document: document["sets"][0]["values"].update({name: value})
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    (_unit, "body_mass has the unit 'g', expected 'kg'"),
+    (_value("body_mass", -1.2), "body_mass of set 1 is -1.2 kg, expected a finite number above 0"),
+    (_value("body_inertia", 0.0), "body_inertia of set 1 is 0 kg·m², expected a finite number above 0"),
+    (_value("leg_axial_stiffness", "Infinity"), "leg_axial_stiffness of set 1 is inf N/m, expected a finite"),
+    (_value("joint_dz", "-Infinity"), "joint_dz of set 1 is -inf m, expected a finite number"),
+    (_value("body_mass", "1.2"), "expected a number, found '1.2'"),
+    (_value("body_mass", True), "expected a number, found True"),
+    (_value("body_mass", None), "expected a number"),
+    (lambda d: d["sets"][0].update(rank=2), "not in the order of their rank"),
+])  # fmt: skip
+def test_sets_that_no_gear_has_are_refused_when_they_are_read(tmp_path, refused, change, words):
+    document = json.loads((SAMPLES / "published/published-gear-lf.json").read_text(encoding="utf-8"))
+    change(document)
+    path = tmp_path / "sets.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    refused(["sets.json", words], "export", path, "--out", tmp_path / "quad.xml")
+    assert not (tmp_path / "quad.xml").exists()
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

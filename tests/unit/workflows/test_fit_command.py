@@ -20,9 +20,11 @@ from sysid.gear import kind
 from sysid.gear import problem as gear
 from sysid.parameters import ParameterTable
 from sysid.search_options import DEFAULT_ALGORITHM, POPULATION
+from sysid.stated import error_of
 from sysid.workflows import fit as walk
 from sysid.workflows.fits import list_fits
 from sysid.workflows.options import FitOptions
+from sysid.workflows.reopen import open_fit
 
 SEARCH = ("--algorithm", "ga", "--population", "16", "--runs", "2", "--max-generations", "4")
 SMALL = ("--no-trust", *SEARCH, "--quiet")
@@ -191,6 +193,7 @@ def test_another_fit_is_not_continued(cut, campaign, refused):
         (("--finish", "none"), "the option finish differs (now none, then least-squares)"),
         (("--population", "24"), "the option population differs (now 24, then 16)"),
         (("--max-generations", "9"), "the option max generations differs (now 9, then 4)"),
+        (("--exact",), "the option exact differs (now True, then False)"),
         (("--max-evaluations", "900"), "the option max evaluations of a run differs (now 450, then nothing)"),
         # Its low friction lies outside the bounds of high friction; it is left out there.
         (("--surface", "hf"), "the parameter table differs"),
@@ -209,10 +212,14 @@ def test_another_fit_is_not_continued(cut, campaign, refused):
 def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run, refused):
     """The stated friction, outside the bounds that high friction has, is of the other surface."""
     fit = ("fit-gear", campaign, *SMALL[:-1], "--surface", "hf", "--max-generations", "1", "--finish", "none")
+    fit += ("--exact",)
     code, _, err = run(*fit)
     assert code == 0, err
     line = "surface hf: ignoring kinetic_friction, slip_regularization, which the campaign states for law lf"
     assert " ".join(err.split()).count(line) == 1
+    # What the fit took as exact is exact for all that opens it later.
+    opened = open_fit(next(Path("fits").iterdir()))
+    assert (opened.whole.campaign.fit.exact, error_of(opened.whole.campaign.trials[0].slope)) == (True, 0.0)
     words = f"{campaign}: surface: no friction law 'ice'; known are lf, hf"
     refused(words, "fit-gear", campaign, "--surface", "ice", "--force")
 

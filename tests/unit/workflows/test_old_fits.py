@@ -2,12 +2,14 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import h5py
 import pytest
 
 import sysid
 from fakes.lag_kind import write_lag
+from fakes.places import SAMPLES
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +35,31 @@ def intervals(stated):
     # Older exports state intervals without a verdict.
     rows = stated["settings"].setdefault("intervals", {"gain": {}})
     rows["gain"] = {"interval_95": [1.0, 2.0]}
+
+
+MOTOR = SAMPLES / "published/published-motor.json"
+KEPT = sorted((Path(__file__).parents[2] / "data/old-fits").iterdir())
+
+
+@pytest.mark.parametrize("kept", KEPT, ids=lambda path: path.name)
+def test_a_fit_of_every_released_version_is_read(kept, tmp_path, run):
+    """Two drops of the samples, fitted and assessed by that version; the numbers are what it printed."""
+    fit = sysid.load_fit(kept)
+    assert fit.sets.best["k_h"] == pytest.approx(7072.979, rel=1e-6)
+    assert fit.result.nrmse == pytest.approx([0.1184544, 0.1213034], rel=1e-6)
+    judged = fit.sets.judged["leg_axial_stiffness"]
+    assert judged.interval_95 == pytest.approx([6363.945, 6825.142], rel=1e-6)
+    assert fit.verdict.startswith("not explained, NRMSE 11.84 %")
+    assert [trial.use for trial in fit.result.trials] == ["fit", "fit", "validate"]
+    assert sysid.load_parameter_sets(kept / "fit.json") == fit.sets
+    copy = shutil.copytree(kept, tmp_path / "copy")
+    for command in (
+        ("show", copy), ("report", copy), ("export", copy, "--out", tmp_path / "sets.json"),
+        ("export", copy, "--out", tmp_path / "drone.xml"), ("fits", tmp_path),
+        ("simulate", copy, "--motor", MOTOR, "--slope", "20 deg", "--speed", "0.5 m/s"),
+    ):  # fmt: skip
+        code, _, said = run(*command)
+        assert code == 0, (command, said)
 
 
 CHANGES = {

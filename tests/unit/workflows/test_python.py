@@ -33,6 +33,35 @@ def motor():
     return sysid.load_parameter_sets(PUBLISHED / "published-motor.json").best
 
 
+NO_PATHS = [None, 5, b"drops", "a\0b", "a" * 5000, "", ["drops"], 1.5]
+
+
+@pytest.mark.parametrize("given", NO_PATHS, ids=lambda given: repr(given)[:12])
+def test_what_is_no_path_is_refused_by_every_verb(given):
+    verbs = [sysid.load_log, sysid.inspect, sysid.load_fit, sysid.load_parameter_sets, sysid.Campaign.read]
+    for verb in (*verbs, sysid.fit_gear, sysid.fit_motor):
+        with pytest.raises(sysid.SysidError) as refusal:
+            verb(given)
+        assert len(str(refusal.value)) < 300
+    if given is not None:
+        with pytest.raises(sysid.SysidError):
+            sysid.fit_gear(SAMPLES / "gear-lf", given)
+
+
+def test_what_is_no_rank_no_kind_and_no_number_is_refused(gear):
+    for rank in (None, 1.5, "1", 0, 10**400):
+        with pytest.raises(sysid.SysidError, match="no set of rank"):
+            gear.sets.set_values(rank)
+    for kind in (None, 5, "gear"):
+        with pytest.raises(sysid.SysidError, match=r"expected a sysid.Kind to register"):
+            sysid.register(kind)
+    with pytest.raises(sysid.SysidError, match="expected the name of a parameter, found 3"):
+        gear.sets[3]
+    for slope in (10**400, -(10**400), math.inf, math.nan, True, None):
+        with pytest.raises(sysid.SysidError, match="slope"):
+            sysid.simulate_drop(gear, slope=slope, speed="0.5 m/s")
+
+
 @pytest.mark.parametrize("module", [api, kinds])
 def test_every_example_of_the_documentation_runs(tmp_path, monkeypatch, module):
     monkeypatch.chdir(tmp_path)

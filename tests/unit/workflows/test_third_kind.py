@@ -15,6 +15,7 @@ import sysid
 from fakes.lag_kind import TRUE, LagProblem, write_lag
 from sysid import exact_json
 from sysid.errors import FitError, SysidWarning
+from sysid.export import load_parameter_sets
 from sysid.export.spreadsheet import to_csv
 from sysid.fit.adequacy import adequacy
 from sysid.fit.store import read_fit
@@ -29,7 +30,6 @@ from sysid.workflows.options import FitOptions, ReportOptions, TrustOptions
 from sysid.workflows.predict import cross_validate, validate_fit
 from sysid.workflows.reopen import open_fit
 from sysid.workflows.report import write_report
-from sysid.workflows.show import load_sets
 from sysid.workflows.trust import assess_fit
 
 
@@ -151,15 +151,15 @@ def test_a_fit_ends_with_intervals_that_no_export_leaves_out(tmp_path):
     assert all(row.low < row.high for row in result.judged.values())
     for suffix in (".json", ".csv", ".h5", ".mat"):
         (file,) = export_sets(folder, tmp_path / f"sets{suffix}")
-        assert load_sets(file).settings[INTERVALS] == rows
-        assert load_sets(file).provenance["adequacy"] == result.provenance["adequacy"]
+        assert load_parameter_sets(file).settings[INTERVALS] == rows
+        assert load_parameter_sets(file).provenance["adequacy"] == result.provenance["adequacy"]
     page = write_report(folder, ReportOptions())["report"].read_text(encoding="utf-8")
     assert all(words in page for words in ("lag", "time_constant", "step-3", "measured"))
     stated = exact_json.loads((folder / "fit.json").read_text(encoding="utf-8"))
     assert exact_json.plain(stated["settings"][INTERVALS]) == exact_json.plain(rows)
     assert "interval_low" in (tmp_path / "sets.csv").read_text(encoding="utf-8-sig").split("\n")[0]
     # An open end has no number: a bound of the search is no end.
-    sets, name = load_sets(folder), next(iter(rows))
+    sets, name = load_parameter_sets(folder), next(iter(rows))
     below = {**rows, name: {**rows[name], "open_95": [True, False]}}
     table = to_csv(replace(sets, settings={**sets.settings, INTERVALS: below})).decode("utf-8-sig")
     row = next(one for one in csv.DictReader(table.splitlines()) if one["name"] == name)

@@ -1,0 +1,234 @@
+"""What the log of a thrust stand gives before any winding is fitted: curves, power, time constants, delays.
+
+A stand of some 100 Hz shows neither R nor L in the response to a step: the winding settles between two of its
+rows. Its steady levels and the speed after a step need no winding::
+
+    V I − τ Ω = R I_m² + τ_f Ω,      I_m = τ/k                       lost power of motor and controller
+    Ω(t) = Ω_1 + (Ω_0 − Ω_1) exp(−(t − t_d)/T)                       a step from Ω_0 to Ω_1
+
+Valid for a supply whose voltage and current are logged in front of the controller, and for steps between
+steady levels of one direction. Ignores the controller's own loss, which R and τ_f take up.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.optimize import least_squares, nnls
+
+from sysid.journal import Finding
+from sysid.motor.bench_logs import BenchLog
+from sysid.motor.curves import StaticCurves
+from sysid.trials.bench_log import AT_REST
+from sysid.trials.steady import SETTLE, SteadyPoints
+from sysid.types import FloatArray, Rotation
+
+# Typical standard error of the calibration of a stand's load cells [1]: no log shows it.
+CALIBRATION = 0.01
+# Speeds at which curves are stated, as shares of the fastest steady point [1].
+_SHARES = (0.25, 0.5, 0.75, 1.0)
+# Least step of the speed and least speed that show a time constant, as shares of the top speed [1], and the
+# time before and after a step over which its levels are averaged [s].
+_LEAST_STEP, _LEAST_SPEED, _AVERAGED = 0.02, 0.1, 0.3
+# Least number of steps or levels from which a value is stated.
+_FEWEST = 3
+# Ratio of the apparent resistance of a level to the least one from which the lost power is not that of one
+# resistance [1].
+_CLIMBS = 1.5
+# Share by which the supply current may exceed what a stated Kv allows [1].
+_KV_AGREES = 0.03
+# Half-width of a 95 % interval [standard errors].
+_WIDE = 1.96
+
+
+@dataclass(frozen=True)
+class CurveValue:
+    """Thrust [N] or torque [N·m] at a speed [rad/s]; the interval contains the stand's calibration."""
+
+    quantity: str
+    direction: Rotation
+    speed: float
+    value: float
+    interval_95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LostPower:
+    """R [Ω] and friction [N·m] of the lost power of steady levels, under a torque constant [N·m/A].
+
+    `least_kv` [rad/s/V] is what the supply current asks for at a duty of 1. Speeds [rad/s] and the lost power
+    over I_m² [Ω] are by level, the lowest torque first.
+    """
+
+    torque_constant: float
+    resistance: float
+    interval_95: tuple[float, float]
+    friction_torque: float
+    least_kv: float
+    speeds: tuple[float, ...]
+    apparent_resistances: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class StepTime:
+    """Median of a time [s] over the steps of the speed."""
+
+    value: float
+    interval_95: tuple[float, float]
+    steps: int
+
+
+@dataclass(frozen=True)
+class StandValues:
+    """What steady levels and steps of the fitted logs show; `times` by name, see `step_times`."""
+
+    curves: tuple[CurveValue, ...]
+    power: LostPower | None
+    times: dict[str, StepTime]
+
+    def document(self) -> dict[str, object]:
+        """Return what a result states."""
+        said = [*self.sentences(), *(found.sentence for found in self.findings())]
+        return {**asdict(self), "calibration": CALIBRATION, "sentences": said}
+
+    def sentences(self) -> Iterator[str]:
+        """Yield the values in words."""
+        tops = {(row.quantity, row.direction): row for row in self.curves}
+        for row in tops.values():
+            unit = "N" if row.quantity == "thrust" else "N·m"
+            low, high = row.interval_95
+            yield (
+                f"{row.quantity}, {row.direction}, at {abs(row.speed):.4g} rad/s: {row.value:.4g} {unit}, "
+                f"95 % from {low:.4g} to {high:.4g} with {100 * CALIBRATION:g} % for the stand's calibration"
+            )
+        if self.times:
+            words = (
+                f"{name.replace('_', ' ')} {1e3 * row.value:.3g} ms ({1e3 * row.interval_95[0]:.3g} to "
+                f"{1e3 * row.interval_95[1]:.3g}, {row.steps} steps)"
+                for name, row in self.times.items()
+            )
+            yield f"steps of the speed: {', '.join(words)}"
+        if self.power is not None:
+            p = self.power
+            low, high = (1e3 * end for end in p.interval_95)
+            yield (
+                f"lost power of {len(p.speeds)} steady levels: R {1e3 * p.resistance:.3g} mΩ ({low:.3g} to "
+                f"{high:.3g}) at Kv {_rpm(1 / p.torque_constant):.4g} rpm/V, {1e3 * p.friction_torque:.2g} "
+                f"mN·m of friction; the supply current asks for a Kv of {_rpm(p.least_kv):.4g} rpm/V or more"
+            )
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield where the steady levels contradict a motor of one resistance, or its Kv."""
+        if self.power is None:
+            return
+        p, each = self.power, self.power.apparent_resistances
+        if p.least_kv * p.torque_constant > 1.0 + _KV_AGREES:
+            sentence = (
+                f"Kv is taken as {_rpm(1 / p.torque_constant):.4g} rpm/V, and the supply current over the "
+                f"torque asks for {_rpm(p.least_kv):.4g} or more: measure Kv (turn the motor, read its "
+                "voltage); R goes as 1/Kv²"
+            )
+            yield Finding("kv-below-current", sentence)
+        if max(each) > _CLIMBS * min(each):
+            sentence = (
+                "the lost power is not that of one resistance: over the square of the motor's current it is "
+                f"{1e3 * each[0]:.3g} mΩ at the lowest load, {1e3 * min(each):.3g} at the least, "
+                f"{1e3 * each[-1]:.3g} at the highest; iron, controller and a warm winding count, so R is an "
+                "effective value at these loads"
+            )
+            yield Finding("power-of-no-resistance", sentence)
+
+
+def _rpm(speed: float) -> float:
+    return 30.0 / np.pi * speed
+
+
+def stand_values(logs: Sequence[BenchLog], curves: StaticCurves, constant: float) -> StandValues:
+    """Return what fitted logs, each of one direction, give under a torque constant k_m [N·m/A]."""
+    rows = []
+    for fit in curves.fits:
+        if fit.quantity == "no_load":
+            continue
+        speeds = curves.loaded[fit.direction].speed
+        top = float(np.max(speeds) if fit.direction == "forward" else np.min(speeds))
+        for share in _SHARES:
+            value, error = fit.at(share * top)
+            half = _WIDE * float(np.hypot(error, CALIBRATION * value))
+            rows.append(
+                CurveValue(fit.quantity, fit.direction, share * top, value, (value - half, value + half))
+            )
+    power = lost_power(SteadyPoints.join(list(curves.loaded.values())), constant)
+    return StandValues(tuple(rows), power, step_times(logs))
+
+
+def lost_power(points: SteadyPoints, constant: float) -> LostPower | None:
+    """Return R and friction of the power that steady points lose, with k_m [N·m/A]; None where unknown."""
+    flow, torque, speed = np.abs(points.current), np.abs(points.torque), np.abs(points.speed)
+    lost = points.voltage * flow - torque * speed
+    known = np.isfinite(lost) & (torque > 0.01 * np.nanmax(torque, initial=0.0)) & (lost > 0)
+    if np.count_nonzero(known) < _FEWEST + 1:
+        return None
+    order = np.flatnonzero(known)[np.argsort(torque[known])]
+    flow, torque, speed, lost = (each[order] for each in (flow, torque, speed, lost))
+    motor = torque / constant
+    columns = np.column_stack([motor**2, speed])
+    (resistance, friction), _ = nnls(columns, lost)
+    # What the two terms leave is the error: levels of unlike load are not of one law.
+    residual = lost - columns @ [resistance, friction]
+    spread = float(residual @ residual) / (lost.size - 2)
+    half = _WIDE * float(np.sqrt(spread * np.linalg.inv(columns.T @ columns)[0, 0]))
+    return LostPower(
+        constant, float(resistance), (float(resistance) - half, float(resistance) + half), float(friction),
+        float(np.max(flow / (torque + friction))), tuple(speed.tolist()), tuple((lost / motor**2).tolist()),
+    )  # fmt: skip
+
+
+def step_times(logs: Sequence[BenchLog]) -> dict[str, StepTime]:
+    """Return ``time_constant_up``, ``time_constant_down`` and ``dead_time`` of the speed's steps.
+
+    The interval comes from the scatter over the steps. Times of a single step are left out, and the dead time
+    of logs without a command.
+    """
+    found: dict[str, list[float]] = {"time_constant_up": [], "time_constant_down": [], "dead_time": []}
+    for log in logs:
+        for start, before, after, share, time in _steps(log):
+            fit = least_squares(
+                lambda x, t, y: 1.0 - np.exp(-np.maximum(t - x[0], 0.0) / x[1]) - y,  # type: ignore[misc]
+                [0.02, 0.04],
+                bounds=([-0.1, 1e-3], [0.2, 1.0]),
+                args=(time - start, share),
+            )
+            found["time_constant_up" if after > before else "time_constant_down"].append(float(fit.x[1]))
+            if log.commanded:
+                found["dead_time"].append(float(fit.x[0]))
+    out = {}
+    for name, values in found.items():
+        if len(values) > 1:
+            middle = float(np.median(values))
+            scatter = float(np.median(np.abs(np.array(values) - middle))) / 0.6745
+            # The median of normal values scatters by 1.25 of what their mean does.
+            half = _WIDE * 1.2533 * scatter / float(np.sqrt(len(values)))
+            out[name] = StepTime(middle, (middle - half, middle + half), len(values))
+    return out
+
+
+def _steps(log: BenchLog) -> Iterator[tuple[float, float, float, FloatArray, FloatArray]]:
+    """Yield instant, speed before and after, and the share (n,) of the step that is done at times (n,)."""
+    time, size = log.channels["speed"][0], np.abs(log.channels["speed"][1])
+    top, level = float(size.max()), np.abs(log.steps.level)
+    edges = np.append(log.steps.time, time[-1])
+    for i, (start, end) in enumerate(itertools.pairwise(edges.tolist())):
+        inside = log.window[0] < start and end < log.window[1] + 1e-9 and end - start > SETTLE + _AVERAGED
+        if i == 0 or not inside or min(level[i], level[i - 1]) < AT_REST:
+            continue
+        earlier = (time > max(edges[i - 1] + SETTLE, start - _AVERAGED)) & (time < start - 0.01)
+        later = (time > start + SETTLE) & (time < start + SETTLE + _AVERAGED)
+        shown = (time > start - 0.05) & (time < start + SETTLE)
+        if min(earlier.sum(), later.sum(), shown.sum()) < _FEWEST:
+            continue
+        before, after = float(size[earlier].mean()), float(size[later].mean())
+        if abs(after - before) > _LEAST_STEP * top and min(before, after) > _LEAST_SPEED * top:
+            yield start, before, after, (size[shown] - before) / (after - before), time[shown]
