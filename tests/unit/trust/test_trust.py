@@ -37,6 +37,7 @@ class Linear:
     bend: float = 0.0
     common = 0
     remedy = ""
+    small = 0.0
 
     def only(self, names):
         kept = [self.names.index(name) for name in names]
