@@ -49,8 +49,10 @@ maximum = 2047
     return path
 
 
-def torque_spikes(bench, result) -> np.ndarray:
+def torque_spikes(bench, result) -> tuple[np.ndarray, np.ndarray]:
     """Return peak and mean (n, 2, 2) of the torque above where it settles, measured and simulated [N·m].
+
+    The second array (n,) says which spikes are of a start from rest.
 
     The mean over the spike is the rotor's inertia times what the speed gains, over the spike's length.
     """
@@ -58,7 +60,7 @@ def torque_spikes(bench, result) -> np.ndarray:
     known = trial.valid[:, 0]
     time, torque = trial.time[known], np.column_stack([trial.measured, trial.simulated[0]])[known][:, [0, 2]]
     steps = prepared.log.steps
-    spikes = []
+    spikes, from_rest = [], []
     for i in range(1, steps.time.size - 1):
         start, end = steps.time[i], steps.time[i + 1]
         spike = (time >= start) & (time < start + 0.4)
@@ -70,7 +72,8 @@ def torque_spikes(bench, result) -> np.ndarray:
         extreme = np.max if steps.level[i] > steps.level[i - 1] else np.min
         level = np.median(torque[settled], axis=0)
         spikes.append([extreme(torque[spike], axis=0) - level, np.mean(torque[spike], axis=0) - level])
-    return np.array(spikes)
+        from_rest.append(steps.level[i - 1] == 0)
+    return np.array(spikes), np.array(from_rest)
 
 
 @pytest.mark.parametrize(("motor", "stalls"), [("IM", 2), ("SOV5", 16)])
@@ -104,12 +107,20 @@ def test_real_motor_is_fitted_and_carries_over(
     by_channel = result.trials[0].nrmse[0]
     assert by_channel[0] < torque
     assert by_channel[1] < speed
-    spikes = torque_spikes(prepare_bench(read_campaign(path, "motor"), path), result)
+    spikes, from_rest = torque_spikes(prepare_bench(read_campaign(path, "motor"), path), result)
     assert len(spikes) >= (15 if motor == "IM" else 8)
     peaks, means = (spikes[:, k, 1] / spikes[:, k, 0] for k in range(2))
     # Real torque rows come every 15 to 40 ms, and a spike lasts 50: single peaks fall between two rows (found
-    # 0.68 to 1.33, SOV5's start from rest 1.5).
-    assert np.all((peaks > 0.55) & (peaks < 1.7))
+    # 0.72 to 1.30).
+    assert np.all((peaks[~from_rest] > 0.55) & (peaks[~from_rest] < 1.4))
+    # A controller starts a resting rotor by a ramp of its own, which no command shows: the peak is lower than
+    # that of a step (1.34 and 1.70 times lower). IM's start is too small for its mean, SOV5's start gains
+    # the right speed: found 1.05; 1.34 with a straight line as the supply law.
+    assert from_rest.sum() == 1
+    if motor == "IM":
+        assert peaks[from_rest] < 1.4
+    else:
+        assert means[from_rest] == pytest.approx(1.0, abs=0.15)
     # Over a whole spike that is the rotor's inertia, whose 15 % are the requirement. Found: 1.06 and
     # 1.07; with 1.5 times the inertia 1.39 and 1.49.
     assert np.median(means) == pytest.approx(1.0, abs=0.15)
@@ -159,9 +170,13 @@ def test_second_half_of_a_real_log_is_predicted(tmp_path: Path, motor: str) -> N
     predicted = {trial.name: trial.nrmse[0, 1] for trial in result.trials}["second"]
     problem = problem_of(*bench_of(path))
     found = held_out(problem, result.parameter_sets().set_values(1))
-    # The equations predict the torque of a step, a lag of the speed does not; L buys nothing at these rates.
+    # The equations predict the torque of a step, a lag of the speed does not.
     assert found["first-order lag"][0] > 1.5 * found["without L"][0]
-    assert found["motor"].mean() > 0.95 * found["without L"].mean()
+    # L buys little at these rates and costs nothing: the motor's error over that without L is 0.945 for IM
+    # and 0.995 for SOV5. With straight lines as the supply law it was 1.039 and 1.000, of 9.1 and 7.9 % in
+    # the mean instead of 6.8 and 7.4 %.
+    assert 0.9 < found["motor"].mean() / found["without L"].mean() < 1.02
+    assert found["motor"].mean() < {"IM": 0.08, "SOV5": 0.078}[motor]
     # Required: 5 %; reached 3.8 % for IM. SOV5's second half stops and starts the rotor, unlike its
     # first: reached 6.2 %.
     assert predicted < {"IM": 0.05, "SOV5": 0.08}[motor]
