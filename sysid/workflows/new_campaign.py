@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment, PackageLoader
 
 from sysid.campaign.logs import load_stated
@@ -65,9 +66,11 @@ def write_new_campaign(
     if minimal or logs:
         environment = Environment(loader=PackageLoader("sysid", "templates"), autoescape=False)
         reports: list[LogReport] = []
+        supply = np.zeros(0)
         kinds, wanted = _RECORDED[kind]
         for log in logs:
-            report = inspect_recording(load_stated(log, form, options, {}))
+            recording = load_stated(log, form, options, {})
+            report = inspect_recording(recording)
             if report.kind not in kinds:
                 beside = (
                     " or join it to the stand's with sysid convert --add" if report.kind == "signals" else ""
@@ -77,6 +80,8 @@ def write_new_campaign(
                     f"{beside}"
                 )
             reports.append(report)
+            if report.kind != "static-map" and (volts := recording.channels.get("voltage")) is not None:
+                supply = np.append(supply, volts.values[volts.valid])
         taken = {option for report in reports for option in formats()[report.format].options}
         if idle := sorted(set(options) - taken):
             raise CampaignError(
@@ -87,6 +92,9 @@ def write_new_campaign(
         lines = [f"{name} = {toml_value(_with_unit(name, value))}" for name, value in stated.items()]
         content = _content(kind, path, reports) | {"options": lines}
         content["body"] = body or content["body"]
+        # A fit takes the same median where a campaign does not state the supply.
+        if supply.size and (middle := float(np.median(supply))) > 0:
+            content |= {"voltage": f"{middle:.4g} V", "voltage_from": "median of the logged supply voltage"}
         text = environment.get_template(f"{kind}-minimal.toml").render(content) + "\n"
     else:
         text = resources.files("sysid").joinpath("templates", f"{kind}.toml").read_text(encoding="utf-8")
@@ -129,6 +137,7 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
         "up": _usual(drop.up for drop in drops),
         "down_slope": _usual(drop.down_slope for drop in drops),
         "voltage": f"{max(volts):.3g} V" if volts else f"{_TODO} V",
+        "voltage_from": "supply at which the static logs were taken",
         "unit": _usual(units),
         **numbers,
         "neutral": numbers["neutral"] if both or units != {"us"} else None,

@@ -24,7 +24,7 @@ from sysid.journal import Finding
 from sysid.loaders.registry import formats
 from sysid.recording import Channel, FloatArray, Recording
 from sysid.shown import Shown
-from sysid.trials.bench_log import Stall, command_steps, find_stalls
+from sysid.trials.bench_log import Stall, command_steps, drop_outs, find_stalls
 from sysid.trials.capture import signed_axis
 from sysid.trials.look.drop import HANGING, STANDARD_GRAVITY, DropReport, inspect_drop, mean_turn
 
@@ -41,8 +41,6 @@ _TILTED = np.radians(10.0)
 _IMPOSSIBLE, _LEAST_JUMP = 2_000.0, 0.01
 # Share of a log without a value of a channel, from which it is suspicious [1].
 _MUCH = 1.0 / 3.0
-# Share of the speeds of both neighbours below which a single sample has dropped out [1].
-_DROPPED = 0.7
 # Words of a sentence for units of length whose name as an option differs.
 _IN_WORDS = {"inch": "inches", "foot": "feet", "m": "metres, read as mm"}
 # Highest speed of a drone's propeller motor [rad/s] (95 000 rpm); a number beyond was meant in rpm.
@@ -396,16 +394,13 @@ def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
             found.append(Finding("no-tare", sentence))
     if "speed" in known:
         time, turns = known["speed"].time[known["speed"].valid], known["speed"].values[known["speed"].valid]
-        before, here, after = np.abs(turns[:-2]), np.abs(turns[1:-1]), np.abs(turns[2:])
-        least = np.minimum(before, after)
-        steady = (np.abs(after - before) < 0.1 * least) & (least > 0.1 * report.top_speed)
-        lost = np.flatnonzero(steady & (here < _DROPPED * least))
-        if lost.size:
-            first = int(lost[0])
+        lost = drop_outs(time, turns)
+        starts = np.flatnonzero(lost & ~np.roll(lost, 1))
+        if starts.size:
             sentence = (
-                f"speed drops out for single samples: {lost.size} (first: {here[first]:.4g} rad/s at "
-                f"{time[first + 1]:.6g} s, between {before[first]:.4g} and {after[first]:.4g}), which no "
-                "propeller can follow: the probe missed pulses"
+                f"speed drops out {starts.size} times (first: {abs(turns[starts[0]]):.4g} rad/s at "
+                f"{time[starts[0]]:.6g} s; {np.count_nonzero(lost)} samples in all), which no propeller can "
+                "follow: the probe missed pulses"
             )
             found.append(Finding("speed-drop-outs", sentence))
     if "speed" in known and "thrust" in known:

@@ -186,14 +186,15 @@ def test_a_minimal_campaign_says_what_the_logs_say_and_refuses_the_rest(tmp_path
     ("levels", "direction"), [((0, 0.4, 1), "forward"), ((0, -0.4, -1), "reverse"), ((0.5, -0.5), "reversal")]
 )
 def test_shares_of_full_command_are_a_unit_of_campaigns(tmp_path, run, levels, direction):
-    rows = [f"{i / 100},{levels[i * len(levels) // 300]},{300 + i},1,0.01" for i in range(300)]
+    rows = [f"{i / 100},{levels[i * len(levels) // 300]},{300 + i},1,0.01,{11 + (i > 9)}" for i in range(300)]
     log, target = tmp_path / "duty.csv", tmp_path / "duty.toml"
-    log.write_text("\n".join(["Time (s),Command (1),Speed (rad/s),Fz (N),Mz (N·m)", *rows]), encoding="utf-8")
+    head = "Time (s),Command (1),Speed (rad/s),Fz (N),Mz (N·m),Voltage (V)"
+    log.write_text("\n".join([head, *rows]), encoding="utf-8")
     code, _, err = run("new-campaign", "motor", "--minimal", "--from", log, "--out", target)
     assert code == 0, err
     text = target.read_text(encoding="utf-8").replace("TODO rpm/V", "900 rpm/V")
-    text = text.replace("TODO kg·m²", "2e-5 kg·m²").replace("TODO V", "12 V")
-    target.write_text(text, encoding="utf-8")
+    assert re.search(r'(?m)^reference_voltage = "12 V" +# median of the logged supply voltage$', text)
+    target.write_text(text.replace("TODO kg·m²", "2e-5 kg·m²"), encoding="utf-8")
     campaign = read_campaign(target, "motor")
     assert [trial.direction for trial in campaign.trials] == [direction]
     u = campaign_range(campaign).to_u(np.array(levels), "1", "duty.csv")
