@@ -31,7 +31,7 @@ NOT_JUDGED = Cell("not judged", "doubtful")
 
 @dataclass(frozen=True, eq=False)
 class Reopened:
-    """What a report learns from the campaign of its fit, where that still lies where it was."""
+    """What a report learns from the campaign of its fit and from its logs, where these can be read."""
 
     # Least and largest prediction (n, C) [channel units] of the parameter sets at the ends of the 95 %
     # intervals, by trial.
@@ -44,6 +44,8 @@ class Reopened:
     truth: Mapping[str, float] = field(default_factory=dict)
     # Points behind what the fit takes as known, see `sysid.fit.story.Story.evidence`.
     evidence: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+    # Why nothing is known: the sentence of the refusal.
+    why_not: str = "the campaign was not read"
 
 
 def answer_box(

@@ -33,7 +33,7 @@ from sysid.report.drawing import (
     percent_text,
     unit_of,
 )
-from sysid.report.plots import Curve, Panel, View, figure_of
+from sysid.report.plots import Curve, Look, Panel, View, figure_of
 from sysid.trust.documents import FreeParameter, TrustDocument
 from sysid.types import FloatArray
 
@@ -43,8 +43,9 @@ _MARKERS = "osD^vP*X"
 _FINER = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 # Two deviations of the noise to both sides, within which residuals of noise alone are 95 % of the time [1].
 _NOISE = (-2.0, 2.0)
-# Number of samples beyond which the measurement is a line instead of dots.
-_DENSE = 400
+# Number of samples beyond which the measurement is a line instead of dots, and share of the samples without a
+# neighbour from which it is dots for all that: no line joins the samples of a slow sensor beside a fast one.
+_DENSE, _ALONE = 400, 0.5
 # Deviance at the ends of the 68 % and the 95 % interval (chi-square, one degree of freedom) [1].
 _LIMITS = ((0.988946, "68 %"), (3.841459, "95 %"))
 
@@ -76,8 +77,10 @@ def trial_view(
     beside = next((each for each in other.trials if each.name == trial.name), None) if other else None
     for c in (c for c in range(len(fit.channels)) if trial.valid[:, c].any()):
         unit, factor = unit_of(fit, c)
-        measured = np.where(trial.valid[:, c], trial.measured[:, c], np.nan)
-        curves = []
+        valid, curves = trial.valid[:, c], []
+        measured = np.where(valid, trial.measured[:, c], np.nan)
+        beside_none = valid & ~np.append(valid[1:], False) & ~np.append(False, valid[:-1])
+        alone = np.count_nonzero(beside_none) > _ALONE * np.count_nonzero(valid)
         if band is not None:
             low, high = (factor * end[:, c] for end in band)
             curves.append(Curve("95 % prediction", low, "band", upto=high, scaled=False))
@@ -85,7 +88,9 @@ def trial_view(
             Curve("other sets", factor * simulated[:, c], "others", "thin", scaled=False)
             for simulated in trial.simulated[:0:-1]
         ]
-        curves.append(Curve("measured", factor * measured, "ink", "dots" if len(time) <= _DENSE else "line"))
+        curves.append(
+            Curve("measured", factor * measured, "ink", "dots" if alone or len(time) <= _DENSE else "line")
+        )
         if beside is not None and other is not None and fit.channels[c] in other.channels:
             at = beside.time - beside.time[0]
             values = factor * beside.simulated[0, :, other.channels.index(fit.channels[c])]
@@ -96,12 +101,13 @@ def trial_view(
         note = f"NRMSE {percent_text(float(trial.nrmse[0, c]))}"
         panels.append(Panel(name, unit, curves, note=note))
         error = trial.simulated[0, :, c] - measured
+        look: Look = "dots" if alone else "thin"
         if noise is not None and np.isfinite(noise[c]) and noise[c] > 0:
-            curve = Curve("residual", error / noise[c], "best", "thin")
+            curve = Curve("residual", error / noise[c], "best", look)
             panels.append(Panel(f"residual of {name} over its noise", "1", [curve], low=True, shade=_NOISE))
         else:
             unit, finer = _FINER.get(unit, (unit, 1.0))
-            curve = Curve("residual", finer * factor * error, "best", "thin")
+            curve = Curve("residual", finer * factor * error, "best", look)
             panels.append(Panel(f"residual of {name}", unit, [curve], low=True))
     # Stretches without any valid sample, such as an occlusion or a stall of the logger.
     lost = [

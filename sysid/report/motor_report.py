@@ -28,7 +28,6 @@ from sysid.types import FloatArray
 
 # Number of reversals on a printed page.
 _MOST_REVERSALS = 6
-_NO_POINTS = "The points are not shown: the campaign of the fit is not where it was."
 
 
 class MotorReport(FitReport):
@@ -120,7 +119,7 @@ class MotorReport(FitReport):
             for row in stated
         ]
         out = columns(left, right) + definitions(rows, "how well the points lie on the curves")
-        return out if self.known.evidence else out + paragraph(_NO_POINTS, "note")
+        return out if self.known.evidence else out + self._no_points
 
     @titled(
         "Reversals",
@@ -162,7 +161,13 @@ class MotorReport(FitReport):
             return paragraph("The torque spikes were not looked at in this fit.", "note")
         inertia = self._best("rotor_inertia")
         view = spike_view(stated, self.known.evidence, inertia)
-        out = interactive([view], "torque spikes") if view else paragraph(_NO_POINTS, "note")
+        if view:
+            out = interactive([view], "torque spikes")
+        elif any(row["steps"] for row in stated.values()):
+            out = self._no_points
+        else:
+            words = "No step shows a whole spike: record two steps up and two down, each for 0.4 s or longer."
+            out = paragraph(words, "note")
         rows = [
             (
                 f"{row['steps']} {kind}-steps",
@@ -171,6 +176,10 @@ class MotorReport(FitReport):
             for kind, row in stated.items()
         ]
         return out + definitions([*rows, ("best set", f"{inertia:.4g} kg·m²")], "rotor inertia")
+
+    @property
+    def _no_points(self) -> Html:
+        return paragraph(f"The points are not shown: {self.known.why_not}.", "note")
 
     def _reversals(self, fit: FitResult, trial: TrialResult) -> list[View]:
         """Return what is drawn of each reversal command in a trial."""

@@ -78,11 +78,15 @@ def stated_campaign(source: CampaignSource, folder: Path) -> CampaignFile:
 
 
 def seen_from(folder: Path, path: Path) -> str:
-    """Return the path of a file, seen from a folder; absolute where they share no drive."""
+    """Return the path of a file, seen from a folder; absolute where they share no drive.
+
+    A file that is a link stays one: what it names lies beside the link.
+    """
+    path = path.parent.resolve() / path.name
     try:
-        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+        return Path(os.path.relpath(path, folder.resolve())).as_posix()
     except ValueError:
-        return path.resolve().as_posix()
+        return path.as_posix()
 
 
 def processor() -> str:

@@ -20,7 +20,7 @@ from sysid.workflows.kinds import naming_campaign, open_campaign
 
 def shown_from_here(path: Path) -> Path:
     """Return a path without the steps back in it, from the current folder where it lies in that."""
-    path = path.resolve()
+    path = path.parent.resolve() / path.name
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
@@ -85,7 +85,9 @@ def reopen(folder: Path, result: FitResult, campaign: Path | None, threads: int 
         if campaign is not None:
             raise FitError(f"{campaign}: no such campaign file; --campaign names the one of the fit {folder}")
         name = f"its campaign {stated['file']!r} is not where it was" if stated else "it names no campaign"
-        raise FitError(f"{folder}: {name}; put it there, or name it with --campaign")
+        raise FitError(
+            f"{folder}: {name}; put it back, or name it with --campaign (trust, ladder, cross-validate)"
+        )
     with naming_campaign(path):
         kind, content, _ = open_campaign(path, result.kind, result.law)
         if stated.get("sha256") not in (None, content.source.sha256):

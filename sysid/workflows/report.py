@@ -43,7 +43,7 @@ _AT_END = 3.841459
 
 
 def reopened(report: FitReport) -> Reopened:
-    """Return what the campaign of a fit tells, where it still lies where it was; else nothing.
+    """Return what the campaign of a fit tells; where it cannot be read, nothing but the reason.
 
     The band is of the parameter sets at the ends of every 95 % interval, found between two points of its
     profile: each keeps one parameter at an end while all others are fitted again.
@@ -61,8 +61,8 @@ def reopened(report: FitReport) -> Reopened:
                 if trial.use == "validate"
             }
             truth, evidence = opened.truth, predicted.evidence
-    except (SysidError, OSError):
-        return Reopened()
+    except (SysidError, OSError) as error:
+        return Reopened(why_not=str(error))
     band = {}
     if len(ends):
         for trial, signals in zip(trials, predicted.scored.signals, strict=True):

@@ -68,7 +68,7 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
         (f"export {folder} --out sets.json", "the sets for a simulator"),
     )
     mend = (
-        ("check CAMPAIGN", "do the logs contradict the campaign?"),
+        (f"check {campaign}", "do the logs contradict the campaign?"),
         (f"ladder {folder}", "which physics does the model lack?"),
     )
     for command, what in (

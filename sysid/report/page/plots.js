@@ -15,6 +15,12 @@
     const size = Math.abs(value);
     return (size !== 0 && (size < 1e-4 || size >= 1e6) ? value.toExponential(3) : String(Number(value.toPrecision(4)))).replace("-", "−");
   }
+  // The edges of a grey band are marked where they can be told apart.
+  function levels(shade, low, high, step) {
+    if (high - low < 5 * (shade[1] - shade[0])) return [shade[0], (shade[0] + shade[1]) / 2, shade[1]];
+    const first = Math.ceil(low / step), count = Math.floor(high / step) - first + 1;
+    return Array.from({ length: Math.max(0, count) }, (_, k) => (first + k) * step);
+  }
   function save(name, kind, text) {
     const link = document.createElement("a");
     link.href = URL.createObjectURL(new Blob([text], { type: kind }));
@@ -146,7 +152,7 @@
         scales: { x: { time: false, range: () => this.range }, y: { range: (u, low, high) => this.span(low, high, panel) } },
         axes: [
           { ...axis, show: true, size: last ? 44 : 8, values: last ? undefined : () => [], label: last ? this.data.x[0] + " [" + this.data.x[1] + "]" : undefined, labelSize: last ? 16 : 0, labelFont: "12px system-ui, sans-serif" },
-          { ...axis, size: 58, space: panel.low ? 16 : 30, splits: panel.shade ? () => [panel.shade[0], (panel.shade[0] + panel.shade[1]) / 2, panel.shade[1]] : undefined, values: (u, ticks) => ticks.map((v) => (v === null ? "" : String(Number(v.toPrecision(6))).replace("-", "−"))) },
+          { ...axis, size: 58, space: panel.low ? 16 : 30, splits: panel.shade ? (u, i, low, high, step) => levels(panel.shade, low, high, step) : undefined, values: (u, ticks) => ticks.map((v) => (v === null ? "" : String(Number(v.toPrecision(6))).replace("-", "−"))) },
         ],
         cursor: { sync: { key: null }, drag: { x: true, y: false, setScale: false }, points: { size: 7 }, y: false },
         hooks: {

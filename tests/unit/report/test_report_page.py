@@ -41,6 +41,8 @@ from sysid.report.snapshots import figure_snapshots
 from sysid.report.table import Cell, table, words
 from sysid.report.trust_tables import interval_table, narrow_table
 from sysid.trust.documents import FreeParameter, TrustDocument
+from sysid.workflows.provenance import seen_from
+from sysid.workflows.reopen import shown_from_here
 from sysid.workflows.report import open_report
 
 NASTY = "</script><img src=x onerror=alert(1)>"
@@ -531,3 +533,42 @@ def test_open_intervals_are_shown_as_open():
     assert [cell.text for cell in wide.rows[0][3:5]] == ["open", "open"]
     assert [cell.text for cell in narrow.rows[0][1:4]] == ["—", "≤ 5", "—"]
     assert wide.rows[0][5] == Cell("not identifiable", "bad")
+
+
+def test_a_slow_sensor_beside_a_fast_one_is_drawn_as_dots(tmp_path):
+    fit = made_fit(samples=600)
+    trial = fit.trials[0]
+    valid = trial.valid.copy()
+    valid[:, -1] = np.arange(600) % 20 == 0
+    fit = replace(fit, trials=(replace(trial, valid=valid),))
+    panels = plot_data(FitReport(tmp_path, fit).measured_against_simulated().text)["views"][0]["panels"]
+    looks = [
+        [curve["look"] for curve in panel["curves"] if curve["label"] != "other sets"] for panel in panels
+    ]
+    assert looks[:2] == [["line", "line"], ["thin"]]
+    assert looks[-2:] == [["dots", "line"], ["dots"]]
+
+
+def test_a_report_says_why_points_are_not_shown(tmp_path, monkeypatch):
+    monkeypatch.setattr(MotorReport, "_best", lambda report, name: 1e-5)
+    spikes = {kind: {"steps": 2, "inertia": 1e-5, "standard_error": 1e-6} for kind in ("up", "down")}
+    fit = replace(made_fit(channels=MOTOR), settings={"rotor_inertia_from_torque_spikes": spikes})
+    known = Reopened(why_not="c.toml: is gone")
+    assert "are not shown: c.toml: is gone." in MotorReport(tmp_path, fit, known=known).spikes().text
+    silent = {kind: row | {"steps": 0} for kind, row in spikes.items()}
+    fit = replace(fit, settings={"rotor_inertia_from_torque_spikes": silent})
+    text = MotorReport(tmp_path, fit, known=known).spikes().text
+    assert "No step shows a whole spike: record two steps up and two down" in text
+    assert "c.toml" not in text
+
+
+def test_the_way_to_a_campaign_that_is_a_link_leads_to_the_link(tmp_path):
+    """Its logs lie beside the link; the folder of the fit may be a link too."""
+    for name in ("logs", "store", "fits/a"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "store/c.toml").write_text("", encoding="utf-8")
+    (tmp_path / "logs/c.toml").symlink_to("../store/c.toml")
+    (tmp_path / "here").symlink_to("fits/a")
+    place = seen_from(tmp_path / "here", tmp_path / "logs/c.toml")
+    assert place == "../../logs/c.toml"
+    assert shown_from_here(tmp_path / "here" / place) == tmp_path.resolve() / "logs/c.toml"
