@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from pydantic import Field
 
-from sysid.documents import Part
+from sysid.documents import Part, channel_symbol
 from sysid.fit.least_squares import EXPLAINED, noise_floor
 from sysid.fit.optima import beside_noise
 from sysid.fit.problem import Problem
@@ -74,13 +74,13 @@ class Bias(Part):
     def sentence(self) -> str:
         """The bias in words."""
         text = (
-            f"{self.channel} is {with_unit(f'{self.mean:+.2g}', self.unit)} off on average over {self.trial} "
-            f"(simulated less measured): {abs(self.over_noise):.1f} × its noise, of which a mean keeps "
-            f"{with_unit(f'{self.expected:.1g}', self.unit)}"
+            f"{channel_symbol(self.channel)} is {with_unit(f'{self.mean:+.2g}', self.unit)} off on average "
+            f"over {self.trial} (simulated less measured): {abs(self.over_noise):.1f} × its noise, which "
+            f"alone leaves {with_unit(f'{self.expected:.1g}', self.unit)}"
         )
         if self.assumed_explains:
-            return f"{text}; the uncertainty of what the fit takes as known explains it"
-        return f"{text}; nothing that the fit knows explains it"
+            return f"{text}; errors of the measured inputs explain it"
+        return f"{text}; no error of the measured inputs explains it"
 
 
 class Misfit(Part):
@@ -295,10 +295,12 @@ def _lasting(problem: Problem, residuals: FloatArray, channel: int) -> float:
 def scores_in_words(nrmse: float, floor: float, ratio: float) -> str:
     """Return the NRMSE of the best set beside the noise; numbers as in `Adequacy`.
 
-    The ratio is without what errors of known values explain; where that part shows, so is the NRMSE without.
+    The ratio is without what errors of the measured inputs (curves, tares, starts) explain; where that part
+    shows, so is the NRMSE without.
     """
     whole, left = f"{100 * nrmse:.2f} %", f"{100 * ratio * floor:.2f} %"
-    return beside_noise(whole if left == whole else f"{whole}, without errors of known values {left}", floor)
+    explained = "" if left == whole else f", {left} without what errors of the measured inputs explain"
+    return beside_noise(f"{whole}{explained}", floor)
 
 
 def _sentence(judged: Adequacy, at_bound: Sequence[str], remedy: str) -> str:

@@ -94,6 +94,14 @@ def factor_or_none(unit: str, expected: str) -> float | None:
         return None
 
 
+def _is_unit(text: str) -> bool:
+    try:
+        factor_to_si(text)
+    except UnitError:
+        return False
+    return True
+
+
 @contextmanager
 def naming(where: str) -> Iterator[None]:
     """Put `where` before the message of an error of units."""
@@ -288,8 +296,28 @@ def table_head(
                 f"{len(names)} cells; name every column, in order"
             )
         names = [str(name) for name in columns]
+    units, line = _units_below(lines[index + 1 :], delimiter, len(names)) if not headless else ([], None)
+    if line is not None:
+        number, offset = line
+        names = [
+            f"{name} ({unit})" if unit and split_label(name)[1] is None else name
+            for name, unit in zip(names, units, strict=True)
+        ]
     trailing = 0 if delimiter == SPACES else len(split_line(lines[index][2], delimiter)) - len(names)
     return TableHead(tuple(names), delimiter, number, offset, trailing)
+
+
+def _units_below(
+    lines: Sequence[tuple[int, int, str]], delimiter: str, count: int
+) -> tuple[list[str], tuple[int, int] | None]:
+    """Return the units of `count` columns in a row of their own below the header, and where that row ends."""
+    number, offset, text = next((line for line in lines if line[2].strip()), (0, 0, ""))
+    units = [cell.strip().strip("[]()").strip() for cell in split_line(text, delimiter)[:count]]
+    filled = [unit for unit in units if unit]
+    known = len(units) == count and filled and not any(all_numeric([unit]) for unit in filled)
+    if known and all(unit.casefold() in COMMAND_UNITS or _is_unit(unit) for unit in filled):
+        return units, (number, offset)
+    return [], None
 
 
 class NamedTable:

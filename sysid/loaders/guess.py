@@ -6,7 +6,7 @@ A guess is printed for a person, who checks it and gives it as an option. No log
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,12 +29,12 @@ from sysid.loaders.table import (
 
 # Parts of names by channel of a bench log, the surest first; a channel that stands earlier chooses first.
 _WORDS = {
-    "time": ("time", "stamp", "clock", "elapsed", "millis", "micros"),
-    "speed": ("rpm", "omega", "speed", "velocity", "tach"),
+    "time": ("time", "stamp", "clock", "elapsed", "millis", "micros", "zeit"),
+    "speed": ("rpm", "omega", "speed", "velocity", "tach", "drehzahl"),
     "torque": ("torque", "moment"),
-    "thrust": ("thrust", "force", "lift", "load", "weight"),
-    "voltage": ("volt", "vbat", "battery"),
-    "current": ("current", "amp"),
+    "thrust": ("thrust", "force", "lift", "load", "weight", "fz", "schub", "kraft"),
+    "voltage": ("volt", "vbat", "battery", "spannung"),
+    "current": ("current", "amp", "ibat", "strom"),
     "command": ("command", "throttle", "pwm", "duty", "cmd", "esc", "signal"),
 }
 # Units by the SI unit of a channel, each with its largest plausible value; a time is judged by its step.
@@ -87,37 +87,64 @@ class Missing:
         return " ".join(filter(None, [new.get(name, ""), f"[{unit}]" if unit else ""]))
 
 
-def missing(path: str | Path, format: str, options: Mapping[str, object]) -> Missing | None:
-    """Return what a refused text log lacks beside the given `options`; None for a file that is no table."""
+def missing(
+    path: str | Path, format: str, options: Mapping[str, object], read: Collection[str] | None = None
+) -> Missing | None:
+    """Return what a text log lacks beside the given `options`.
+
+    A log that is not refused has channels that are `read`; it lacks those that other columns are named after.
+    None for a log that lacks nothing, and for a file that is no table.
+    """
     try:
         source = Source(path)
         check_foreign(source)
         columns = _raw_columns(read_text(source))
     except SysidError:
         return None
-    chosen = ""
-    found: dict[str, object] = {}
-    if format == "auto":
-        try:
-            detect(path)
-        except LogError:
-            chosen, renamed = _nearest(columns)
-            found = {"columns": renamed} if renamed and "columns" not in options else {}
-            if not chosen:
-                return Missing(columns, "", {}, "")
+    nearest, renamed = _nearest(columns)
+    if format != "auto" or "columns" in options:
+        nearest, renamed = "", {}
+    if read is None:
+        chosen, found = "", dict[str, object]()
+        if format == "auto":
+            try:
+                detect(path)
+            except LogError:
+                if not nearest and "columns" not in options:
+                    return Missing(columns, "", {}, "")
+                chosen, found = nearest, {"columns": renamed} if renamed else {}
+        out, read = _completed(path, format, options, columns, chosen, found)
+        if chosen or out.fault:
+            return out
+    else:
+        out = None
+    # A column whose name says a channel, beside others that the format of the content knows.
+    if nearest == "load-cell-csv" and {*renamed} - {"time", *read}:
+        whole, more = _completed(path, format, options, columns, nearest, {"columns": renamed})
+        if {*read} & {*renamed} < {*more} & {*renamed}:
+            return whole
+    return out
+
+
+def _completed(
+    path: str | Path, format: str, options: Mapping[str, object], columns: tuple[RawColumn, ...],
+    chosen: str, found: dict[str, object],
+) -> tuple[Missing, tuple[str, ...]]:  # fmt: skip
+    """Return what a log lacks beside what is `found`, and the channels that are read with all of it."""
     by_name = {column.name: column for column in columns}
+    read: tuple[str, ...] = ()
     for _ in range(_MOST_MISSING):
         given = {name: found.get(name, value) for name, value in options.items()} | found
         if given.get("rate") == _UNKNOWN_RATE:
             given["rate"] = 1000.0
         try:
-            load(path, format=chosen or format, **given)
+            read = tuple(load(path, format=chosen or format, **given).channels)
         except SysidError as error:
             more = {
                 name: value for name, value in error.needs.items() if name == "units" or name not in given
             }
             if not more:
-                return Missing(columns, chosen, found, str(error))
+                return Missing(columns, chosen, found, str(error)), ()
             for name, value in more.items():
                 stated = found.get("columns", {})
                 found[name] = _guess(
@@ -125,7 +152,7 @@ def missing(path: str | Path, format: str, options: Mapping[str, object]) -> Mis
                 )
         else:
             break
-    return Missing(columns, chosen, found, "")
+    return Missing(columns, chosen, found, ""), read
 
 
 def _guess(
@@ -206,9 +233,11 @@ def _nearest(columns: Sequence[RawColumn]) -> tuple[str, dict[str, str]]:
         clock = _column_of("time", words, set(poses.values()))
         poses.pop("w", None)
         return "pose-table", ({"t": clock} if clock else {}) | poses
+    rising = next((column.name for column in columns if column.step > 0), "")
     found: dict[str, str] = {}
     for channel in _WORDS:
-        if name := _column_of(channel, words, set(found.values())):
+        name = _column_of(channel, words, set(found.values()))
+        if name := name or (rising if channel == "time" else ""):
             found[channel] = name
     return ("load-cell-csv", found) if {"thrust", "torque", "speed"} & set(found) else ("", {})
 

@@ -107,7 +107,7 @@ def begin_fit(problem: MotorProblem) -> None:
     for fit in bench.curves.fits:
         tell(curve_sentence(fit))
     for way, tie in bench.laws.items():
-        law = "so these levels are the map" if way in bench.curves.maps else "so the line serves"
+        law = f"so the fit follows {'the levels' if way in bench.curves.maps else 'the line'}"
         tell(
             f"supply law, {way}: V_c = k_v Ω_0(u) V/V_ref; a straight line of speed over command misses the "
             f"{len(tie.levels) - 1} steady levels by {100 * tie.misfit:.2g} % of the top speed, {law}"
@@ -115,9 +115,9 @@ def begin_fit(problem: MotorProblem) -> None:
         if way in bench.curves.maps:
             notice(
                 "supply-law-is-a-map",
-                f"the {way} speed is no straight line of the command: the fit follows its steady levels, the "
-                f"sets carry the line, which misses them by {100 * tie.misfit:.2g} % (rms of the top speed); "
-                "the levels stand in the report",
+                f"the {way} speed is no straight line of the command: the fit follows the measured steady "
+                "levels (the report shows them), but exported sets have the straight line alone, which "
+                f"misses the levels by {100 * tie.misfit:.2g} % of the top speed (rms)",
             )
     shown = shown_by_stand(bench)
     for sentence in shown.sentences():

@@ -317,7 +317,7 @@ class MotorProblem(Problem):
         return np.array(changes).reshape(len(changes), len(index))
 
     def floors(self, row: FloatArray) -> FloatArray:
-        """Return the NRMSE (B,) that noise and errors of known values cost every block [1].
+        """Return the NRMSE (B,) that noise and errors of the measured inputs cost every block [1].
 
         The noise as compared, and one standard deviation of each static curve, tare and stated range: no
         dynamic parameter can take those away.

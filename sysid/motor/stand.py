@@ -35,8 +35,8 @@ _SHARES = (0.25, 0.5, 0.75, 1.0)
 _LEAST_STEP, _LEAST_SPEED, _AVERAGED = 0.02, 0.1, 0.3
 # Least number of steps or levels from which a value is stated.
 _FEWEST = 3
-# Ratio of the apparent resistance of a level to the least one from which the lost power is not that of one
-# resistance [1].
+# Ratio of the largest apparent resistance of a level to the least one from which one resistance does not
+# explain the lost power [1].
 _CLIMBS = 1.5
 # Share by which the supply current may exceed what a stated Kv allows [1].
 _KV_AGREES = 0.03
@@ -59,8 +59,8 @@ class CurveValue:
 class LostPower:
     """R [Ω] and friction [N·m] of the lost power of steady levels, under a torque constant [N·m/A].
 
-    `least_kv` [rad/s/V] is what the supply current asks for at a duty of 1. Speeds [rad/s] and the lost power
-    over I_m² [Ω] are by level, the lowest torque first.
+    `least_kv` [rad/s/V] is the least with which the supply current is possible, at a duty of 1. Speeds
+    [rad/s] and the lost power over I_m² [Ω] are by level, the lowest torque first.
     """
 
     torque_constant: float
@@ -116,8 +116,9 @@ class StandValues:
             low, high = (1e3 * end for end in p.interval_95)
             yield (
                 f"lost power of {len(p.speeds)} steady levels: R {1e3 * p.resistance:.3g} mΩ ({low:.3g} to "
-                f"{high:.3g}) at Kv {_rpm(1 / p.torque_constant):.4g} rpm/V, {1e3 * p.friction_torque:.2g} "
-                f"mN·m of friction; the supply current asks for a Kv of {_rpm(p.least_kv):.4g} rpm/V or more"
+                f"{high:.3g}) and {1e3 * p.friction_torque:.2g} mN·m of friction at Kv "
+                f"{_rpm(1 / p.torque_constant):.4g} rpm/V; supply current and torque are possible with a Kv "
+                f"of {_rpm(p.least_kv):.4g} rpm/V or more"
             )
 
     def findings(self) -> Iterator[Finding]:
@@ -127,17 +128,17 @@ class StandValues:
         p, each = self.power, self.power.apparent_resistances
         if p.least_kv * p.torque_constant > 1.0 + _KV_AGREES:
             sentence = (
-                f"Kv is taken as {_rpm(1 / p.torque_constant):.4g} rpm/V, and the supply current over the "
-                f"torque asks for {_rpm(p.least_kv):.4g} or more: measure Kv (turn the motor, read its "
-                "voltage); R goes as 1/Kv²"
+                f"the fit takes Kv as {_rpm(1 / p.torque_constant):.4g} rpm/V, but the logged supply current "
+                f"and torque are possible only with {_rpm(p.least_kv):.4g} rpm/V or more: measure Kv (speed "
+                "over supply voltage without propeller) and state it as motor.kv; R changes as 1/Kv²"
             )
             yield Finding("kv-below-current", sentence)
         if max(each) > _CLIMBS * min(each):
             sentence = (
-                "the lost power is not that of one resistance: over the square of the motor's current it is "
-                f"{1e3 * each[0]:.3g} mΩ at the lowest load, {1e3 * min(each):.3g} at the least, "
-                f"{1e3 * each[-1]:.3g} at the highest; iron, controller and a warm winding count, so R is an "
-                "effective value at these loads"
+                "one resistance does not explain the lost power: over the square of the motor's current it "
+                f"is {1e3 * each[0]:.0f} mΩ at the lowest load, {1e3 * min(each):.0f} mΩ at its least and "
+                f"{1e3 * each[-1]:.0f} mΩ at the highest load, because iron, controller and a warm winding "
+                "lose power too; use R at such loads only"
             )
             yield Finding("power-of-no-resistance", sentence)
 

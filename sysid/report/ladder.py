@@ -139,8 +139,8 @@ def conclusion(document: LadderDocument) -> list[str]:
     keep, judged = document.keep, document.adequacy
     worst = judged.misfit
     lacks = (
-        f"the model still lacks something: without errors of known values {judged.ratio:.2f} × the noise "
-        f"is left, {worst.channel_ratio:.2f} × in {worst.channel}"
+        f"the model still lacks something: {judged.ratio:.2f} × the noise is left that no error of the "
+        f"measured inputs explains, {worst.channel_ratio:.2f} × in {worst.channel}"
     )
     lacking = [] if judged.verdict == EXPLAINED_BY else [lacks]
     needless = [

@@ -67,13 +67,16 @@ class MotorReport(FitReport):
         return out
 
     @titled(
-        "Before any winding",
-        "What steady levels and steps of the speed give by themselves: curves, time constants, lost power.",
+        "From the stand alone",
+        "What steady levels and steps of the speed show without a model of the winding: curves, time "
+        "constants, lost power.",
     )
     def stand(self) -> Html:
         """Return what the logs give without R and L."""
         said = self.fit.settings.get("stand", {}).get("sentences", ())
-        return bullets(said) if said else paragraph("This fit did not look at them.", "note")
+        return (
+            bullets(said) if said else paragraph("This fit states none: it is of an older version.", "note")
+        )
 
     @titled(
         "Supply law",
@@ -89,9 +92,10 @@ class MotorReport(FitReport):
                 "No command is logged, or the campaign or a log without propeller gives the no-load speed.",
                 "note",
             )
+        words = {"map": "the levels themselves", "line": "a straight line"}
         rows = [
-            (direction, f"{law['law']}; a line misses the levels by {100 * law['misfit_of_line']:.2g} %")
-            for direction, law in laws.items()
+            (way, f"{words[law['law']]}; a line misses the levels by {100 * law['misfit_of_line']:.2g} %")
+            for way, law in laws.items()
         ]
         return interactive(views, "supply law") + definitions(rows, "which law explains the steady levels")
 

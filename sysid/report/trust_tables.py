@@ -154,7 +154,7 @@ def spread_table(document: TrustDocument) -> Table:
 def noise_table(document: TrustDocument) -> Table:
     """Return the residuals per channel, the noise floor and the number of independent samples."""
     return table(
-        "residuals, with errors of known values",
+        "residuals, with errors of the measured inputs",
         document.noise.channels,
         (
             words("channel", lambda row: channel_symbol(row.name)),
@@ -165,7 +165,7 @@ def noise_table(document: TrustDocument) -> Table:
             numbers("samples", lambda row: str(row.samples)),
             numbers("independent", lambda row: f"{row.independent_samples:.0f}"),
         ),
-        "the adequacy of the fit leaves out what errors of known values explain",
+        "the verdict on a fit leaves out what errors of the measured inputs (curves, tares, starts) explain",
     )
 
 
@@ -370,7 +370,9 @@ def print_trust(document: TrustDocument, folder: Path, json: bool, *, long: bool
     for part in (interval_table(document), *wide, noise_table(document)):
         print_table(part)
     scores = ", ".join(f"{trial.name} {trial.ratio:.2f}" for trial in document.trials)
-    print_lines([f"residual over noise by trial, with errors of known values: {scores}", *document.notes])
+    print_lines(
+        [f"residual over noise by trial, with errors of the measured inputs: {scores}", *document.notes]
+    )
     print_lines([f"written to {folder / 'trust.json'} and .h5 in {document.seconds:.0f} s"])
 
 

@@ -95,13 +95,21 @@ def inspect_files(
         for path, result in results:
             if isinstance(result, LogReport):
                 print_log(console, result)
+                unread = any(note.code == "columns-not-read" for note in result.notes)
+                lacking = (
+                    missing(path, format_name, given, [channel.name for channel in result.channels])
+                    if unread
+                    else None
+                )
+                if lacking is not None:
+                    _print_missing(console, path, format_name, given, lacking, isinstance(result, SysidError))
             else:
                 console.print(Text(str(path), style="bold"))
                 if len(paths) > 1:
                     console.print(Text(f"  refused: {result}", style="bold red"))
                 lacking = missing(path, format_name, given)
                 if lacking is not None:
-                    _print_missing(console, path, format_name, given, lacking)
+                    _print_missing(console, path, format_name, given, lacking, isinstance(result, SysidError))
         if figure is not None:
             console.print(Text(f"wrote {figure}"))
     refusals = [(str(path), result) for path, result in results if isinstance(result, SysidError)]
@@ -116,9 +124,10 @@ def inspect_files(
 
 
 def _print_missing(
-    console: Console, path: Path, format_name: str, given: Mapping[str, object], lacking: Missing
-) -> None:
-    """Print the columns of a refused log, with guesses, and the command that gives all that it lacks."""
+    console: Console, path: Path, format_name: str, given: Mapping[str, object], lacking: Missing,
+    refused: bool,
+) -> None:  # fmt: skip
+    """Print the columns of a log, with guesses, and the command that gives all that it lacks."""
     columns = (
         words("column", attrgetter("name")),
         numbers("lowest", lambda column: number(column.lowest)),
@@ -127,12 +136,17 @@ def _print_missing(
     )
     print_table(table("", lacking.columns[:_MOST_ROWS], columns), console)
     if not lacking.options:
+        rising = next((column.name for column in lacking.columns if column.step > 0), "TODO")
+        named = toml_value({"time": rising} | dict.fromkeys(("speed", "thrust", "torque"), "TODO"))
+        hint = f"if this is a log of a motor, name its columns: --format load-cell-csv -o 'columns = {named}'"
+        console.print(Text(f"  {hint}"))
         return
     form = lacking.format or format_name
     stated = {**given, **lacking.options}
     command = ["sysid", "inspect", str(path), *(("--format", form) if form != "auto" else ())]
     command += [part for name, value in stated.items() for part in ("-o", f"{name} = {toml_value(value)}")]
-    console.print(Text("  what is missing, as guessed; check it, and replace each TODO:", style="bold"))
+    what = "what is missing" if refused else "columns that are not read, with the others"
+    console.print(Text(f"  {what}, as guessed; check it, and replace each TODO:", style="bold"))
     console.print(Text(f"    {shlex.join(command)}"))
     if lacking.fault:
         console.print(Text(f"  even then: {lacking.fault}"))

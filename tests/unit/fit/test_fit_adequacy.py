@@ -49,9 +49,12 @@ def test_noise_explains_the_truth_and_nothing_is_noticed(tmp_path):
 
 
 def test_ratio_and_nrmse_of_a_verdict_are_of_one_definition():
-    # 0.81 times a noise of 0.39 % is what errors of known values leave of 0.39 %, not the 0.39 % themselves.
+    # 0.81 times a noise of 0.39 % is what errors of the inputs leave of 0.39 %, not the 0.39 % themselves.
     words = scores_in_words(0.0039, 0.0039, 0.81)
-    assert words == "NRMSE 0.39 %, without errors of known values 0.32 % (noise alone: 0.39 %)"
+    assert (
+        words
+        == "NRMSE 0.39 %, 0.32 % without what errors of the measured inputs explain (noise alone: 0.39 %)"
+    )
     assert scores_in_words(0.083, 0.083, 1.0) == "NRMSE 8.30 % (noise alone: 8.30 %)"
 
 

@@ -71,7 +71,22 @@ def still(i):
         {"columns": {"t": "ros_time"} | {axis: f"pos_{axis}" for axis in "xyz"}
          | {f"q{axis}": f"quat_{axis}" for axis in "wxyz"}, "length_unit": "m"},
     ),
-], ids=["names of a lab", "poses", "stand", "poses of other names"])  # fmt: skip
+    (
+        lines("Zeit,PWM,Drehzahl,Schub,Drehmoment", lambda i: i / 50, lambda i: 1000 + i, lambda i: 40 * i,
+              lambda i: i / 50, lambda i: i / 5000),
+        "load-cell-csv",
+        {"columns": {"time": "Zeit", "speed": "Drehzahl", "torque": "Drehmoment", "thrust": "Schub",
+                     "command": "PWM"},
+         "units": {"time": "s", "speed": "rpm", "thrust": "N", "torque": "N*m", "command": "us"}},
+    ),
+    (  # Columns that the format of the content passes over.
+        lines("timestamp,omega,load_cell_1,moment", lambda i: i / 50, lambda i: 6 * i, lambda i: i / 50,
+              lambda i: i / 5000),
+        "load-cell-csv",
+        {"columns": {"time": "timestamp", "speed": "omega", "torque": "moment", "thrust": "load_cell_1"},
+         "units": {"time": "s", "speed": "rad/s", "thrust": "N", "torque": "N*m"}},
+    ),
+], ids=["names of a lab", "poses", "stand", "poses of other names", "language", "passed over"])  # fmt: skip
 def test_one_command_has_all_that_a_log_lacks(write, capsys, content, form, options):
     path = write(content)
     text, words = told(path, capsys)
@@ -87,6 +102,40 @@ def test_what_nothing_in_the_log_tells_stands_as_todo_which_is_refused(write, ca
     assert (form, options) == ("auto", {"rate": "TODO Hz", "units": {"Fz": "N", "Mz": "N*m"}})
     refuses(path, "rate = 'TODO Hz': 'TODO Hz' is not a number with a unit", SysidError, **options)
     assert load(path, **(options | {"rate": "1 kHz"}))["speed"].time.size == ROWS
+
+
+def test_a_log_that_is_read_without_its_speed_is_offered_with_it(write, capsys):
+    path = write(
+        lines("Time [ms],ESC [us],Motor speed [rpm],Thrust [gf]", milliseconds, lambda i: 1000 + i,
+              lambda i: 40 * i, milliseconds)
+    )  # fmt: skip
+    assert "speed" not in load(path).channels
+    inspect_files([path])
+    text = capsys.readouterr().out
+    assert "columns that are not read" in text
+    form, options = offered(shlex.split(re.search(r"(?m)^ +(sysid inspect .*)$", text)[1]))
+    assert load(path, format=form, **options)["speed"].values[1] == pytest.approx(40 * np.pi / 30)
+
+
+def test_units_may_stand_in_a_row_of_their_own(write):
+    content = lines("Time,PWM,Speed,Fz,Note", lambda i: i / 50, lambda i: 1000 + i, lambda i: 40 * i,
+                    milliseconds, still)  # fmt: skip
+    path = write(content.replace("Note\n", "Note\ns,us,[rpm],gf,\n"))
+    log = load(path, format="load-cell-csv")
+    assert log["thrust"].values[1] == pytest.approx(8 * 9.80665e-3)
+    assert log["speed"].values[1] == pytest.approx(40 * np.pi / 30)
+    assert log["command"].unit == "us"
+    assert log["speed"].time.size == ROWS
+    # A row of words is none of units.
+    path.write_text(content.replace("Note\n", "Note\ns,us,rpm,fast,\n"), encoding="utf-8")
+    with pytest.raises(SysidError):
+        load(path, format="load-cell-csv")
+
+
+def test_columns_of_unknown_names_are_asked_for(write, capsys):
+    text, words = told(write(lines("c1,c2,c3", milliseconds, still, still)), capsys)
+    assert not words
+    assert '--format load-cell-csv -o \'columns = {time = "c1", speed = "TODO"' in text
 
 
 def test_what_is_given_stays_in_the_offered_command(write, capsys):

@@ -90,9 +90,9 @@ def test_two_ratios_of_one_channel_say_what_parts_them():
     )
     noise = Noise(statement="", channels=[channel])
     shown = noise_table(TrustDocument.model_construct(noise=noise))
-    assert shown.title.endswith("with errors of known values")
+    assert shown.title.endswith("with errors of the measured inputs")
     assert shown.rows[0][4].text == "1.19"
-    assert "leaves out what errors of known values explain" in shown.caption
+    assert "leaves out what errors of the measured inputs (curves, tares, starts) explain" in shown.caption
 
 
 def test_a_parameter_that_no_channel_sees_is_told_by_nothing():

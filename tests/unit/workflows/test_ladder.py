@@ -213,8 +213,8 @@ def test_a_conclusion_never_calls_a_wrong_model_right():
         "and a gain of 25.0 %"
     )
     assert said[1] == (
-        "the model still lacks something: without errors of known values 1.40 × the noise is left, 1.80 × in "
-        "q_B"
+        "the model still lacks something: 1.40 × the noise is left that no error of the measured inputs "
+        "explains, 1.80 × in q_B"
     )
     assert "fit more trials" in said[2]
     assert "7 parts of trials cannot" in conclusion(ladder_of(keep=(), parts=True))[0]

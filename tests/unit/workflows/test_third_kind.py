@@ -92,7 +92,7 @@ def test_a_systematic_residual_is_named(lag):
     assert bias.mean == pytest.approx(-0.05, abs=4 * 0.0014)
     # The log shows no noise, so a share of its spread counts as noise.
     assert -5 < bias.over_noise < -2
-    assert "nothing that the fit knows explains it" in bias.sentence
+    assert "no error of the measured inputs explains it" in bias.sentence
 
 
 def test_no_digits_of_what_the_data_do_not_determine(lag, tmp_path, run):
