@@ -98,5 +98,5 @@ def test_the_commands_run_as_written_after_the_demo(tmp_path):
         else:
             for line in command_lines(text):
                 sh(line)
-    wanted = ("fits/drops/report.html", "landing.csv", "map.png", "sets.json", "quad-1.xml", "motor-1.sdf")
+    wanted = ("fits/drops/report.html", "landing.csv", "map.png", "sets.json", "quad-1.xml", "motor.sdf")
     assert [name for name in wanted if not (tmp_path / name).exists()] == []

@@ -237,8 +237,9 @@ def export(
 ) -> None:
     """Write the ranked sets for a simulator.
 
-    Each set becomes a model of its own in MuJoCo (.xml) and in Gazebo (.sdf, a motor). With --for, it prints
-    the best set's numbers under the target's names, with units and 95 % intervals, and --out writes them.
+    Each set becomes a model of its own in MuJoCo (.xml) and in Gazebo (.sdf, a motor): NAME-1.xml, the best,
+    and so on. With --for, it prints the best set's numbers under the target's names, with units and 95 %
+    intervals, and --out writes them.
     """
     from sysid.workflows.export_models import print_exported
 

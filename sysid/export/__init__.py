@@ -15,6 +15,7 @@ import numpy as np
 from sysid.errors import ExportError
 from sysid.export import binary, spreadsheet
 from sysid.fit.store import FIT_FILE, read_fit
+from sysid.motor.parameters import PARAMETERS as OF_MOTOR
 from sysid.parameter_sets import ParameterSets, SetsDocument
 from sysid.parameters import ParameterTable
 from sysid.storage import path_of, schema_of, write_file
@@ -101,9 +102,8 @@ def _judge(sets: ParameterSets, file: Path) -> None:
 
     NaN is a number that nothing determined; what needs it refuses it.
     """
-    # Here, because the gear's table brings the compiler with it.
+    # Imported here, because the gear's table loads the compiler, which no start of a command may do.
     from sysid.gear.parameters import PARAMETERS as OF_GEAR
-    from sysid.motor.parameters import PARAMETERS as OF_MOTOR
 
     again = "correct it, or export the fit again"
     tables: dict[str, ParameterTable] = {"gear": OF_GEAR, "motor": OF_MOTOR}

@@ -28,8 +28,8 @@ def print_exported(
 ) -> None:  # fmt: skip
     """Print a motor's numbers for a `target`, write them or the sets to `out`, and print what was written.
 
-    For Gazebo an .sdf file is the whole model. `mass` is a drone's [kg]; other arguments and errors as for
-    `export_sets`.
+    For Gazebo an .sdf file is the whole model of the set whose numbers are printed. `mass` is a drone's [kg];
+    other arguments and errors as for `export_sets`.
     """
     if target is None:
         if out is None or mass is not None:
@@ -54,7 +54,7 @@ def print_exported(
             )
         files = []
         if out is not None and suffix in MODELS:
-            files = export_sets(source, out, force, rank=rank, mass=mass)
+            files = export_sets(source, out, force, rank=numbers.rank, mass=mass)
         elif out is not None:
             check_file(out, force=force, error_type=ExportError)
             write_file(out, numbers.text().encode("utf-8"), ExportError)

@@ -104,6 +104,18 @@ def test_one_file_per_set_or_one_alone(tmp_path, run):
     assert {p.findtext("turningDirection") for p in plugins} == {"cw", "ccw"}
 
 
+def test_a_gazebo_model_with_its_numbers_is_one_file_under_its_own_name(tmp_path, run):
+    """Of the set whose numbers are printed, the best one if none is named."""
+    source, out = export(several(table_1()), tmp_path / "sets.json"), tmp_path / "motor.sdf"
+    for words, rank in (((), 1), (("--set", "2"), 2)):
+        code, printed, err = run("export", source, "--for", "gazebo", "--out", out, "--force", *words)
+        assert code == 0, err
+        assert "motorConstant" in printed
+        assert [line for line in err.splitlines() if "wrote" in line] == [f"wrote {out}"]
+        assert f"set {rank} of 3" in out.read_text(encoding="utf-8")
+    assert {path.name for path in tmp_path.iterdir()} == {"sets.json", "motor.sdf"}
+
+
 @pytest.mark.parametrize(
     ("kind", "arguments", "words"),
     [
