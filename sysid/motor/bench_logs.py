@@ -206,9 +206,9 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
     if not commanded:
         notice(
             "no-command",
-            "no command is logged: steps are those of the speed, u is the speed over its top. Curves, Kv and "
-            "R count as with a command; the dead time and the controller's map from command to voltage are "
-            "not known: record the command beside the speed",
+            "no command is logged: the fit takes each step of the speed for a command, and the speed over "
+            "its top for u. Curves, Kv and R do not need a command; the dead time and the controller's map "
+            "from command to voltage stay unknown: record the command beside the speed",
             trial=entry.name,
         )
     _warn_of_standing(log, u)
@@ -227,7 +227,7 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
             log.note(
                 "logger-stalls",
                 f"the logger stalls from {stall.start:.4f} to {stall.end:.4f} s around a command: "
-                f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is left out of the cost",
+                f"{stall.doubtful[0]:.4f} to {stall.doubtful[1]:.4f} s is not compared",
             )
     return log
 
@@ -323,7 +323,7 @@ def _estimate_zeros(campaign: MotorCampaign, log: BenchLog) -> None:
             log.channels[name] = (t, values - zero.value)
             sentence = (
                 f"no row at rest: the tare of {name}, {1e3 * zero.value:.3g} ± {1e3 * zero.error:.2g} "
-                f"m{unit}, is what its steady points over Ω|Ω| leave at standstill"
+                f"m{unit}, is extrapolated from its steady points to standstill"
             )
         log.note("no-row-at-rest", sentence)
         if name == "torque" and campaign.cost.weights.torque > 0:
@@ -354,7 +354,7 @@ def _settle_signs(campaign: MotorCampaign, log: BenchLog) -> None:
             sign = sign_of_log(log.channels[name], log.channels["speed"])
             log.note(
                 "sign-of-whole-log",
-                f"no steady stretch: the whole log against its speed gives the sign of {name}",
+                f"no steady stretch: how {name} follows the speed over the whole log gives its sign",
             )
         if sign == 0:
             sentence = f"nothing shows the sign of {name}, so it is taken as recorded; state log.{name}_sign"

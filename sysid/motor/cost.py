@@ -70,7 +70,7 @@ class BenchCost(Cost):
         )
         rows, tap_first = (np.cumsum([0, *map(len, each)], dtype=np.int64) for each in (time, taps))
         valid_rows = np.concatenate(valid)
-        # In the order in which `_score` takes them.
+        # `_score` takes them in this order.
         self._prepared = (
             rows, self.grid, tap_first, np.concatenate(taps), np.concatenate(time),
             np.where(valid_rows, np.concatenate(measured), 0.0), valid_rows,

@@ -79,12 +79,10 @@ def _treatment(trial: PreparedTrial) -> Iterator[Finding]:
         yield replace(note(f"tare-{source}", sentence), trials=trials, size=largest)
     turned = " and ".join(name for name, sign in log.signs.items() if sign < 0)
     if turned:
-        yield replace(note(f"turned-{turned}", f"sign of {turned} turned"), trials=trials)
+        yield replace(note(f"turned-{turned}", f"sign of {turned} reversed"), trials=trials)
     lost = sum(end - start for start, end in log.doubtful)
     if lost:
-        sentence = (
-            f"{len(log.doubtful)} stalls of the logger around commands, {lost:.1f} s left out of the cost"
-        )
+        sentence = f"{len(log.doubtful)} stalls of the logger around commands: {lost:.1f} s are not compared"
         yield replace(note("logger-stalls", sentence), trials=trials, size=lost)
 
 
@@ -128,8 +126,8 @@ def begin_fit(problem: MotorProblem) -> None:
         tell(spoken(finding, len(bench.trials)))
     if bench.curves.ties and "viscous_damping" not in space.names:
         tell(
-            "no log without propeller: the no-load speed follows R from loaded points, and k_d, which then "
-            f"cannot be separated from k²/R, stays at {space.fixed['viscous_damping']:.2g} N·m·s/rad"
+            "no log without propeller: the no-load speed is computed from loaded points and R, and k_d, "
+            f"which then cannot be told from k²/R, stays at {space.fixed['viscous_damping']:.2g} N·m·s/rad"
         )
     if untested_rows(campaign, bench):
         tell("nothing was recorded in reverse: its curves and no-load speed are left out of the sets (NaN)")
@@ -140,7 +138,7 @@ def curve_sentence(fit: CurveFit) -> str:
     names = ("a", "b") if fit.quantity == "no_load" else ("c2", "c1")
     each = zip(names, fit.coefficients, fit.standard_errors, fit.units, strict=True)
     numbers = ", ".join(f"{name} = {value:.5g} ± {error:.2g} {unit}" for name, value, error, unit in each)
-    outliers = f", {fit.outliers} of them outliers" if fit.outliers else ""
+    outliers = f", outliers: {fit.outliers}" if fit.outliers else ""
     quality = f"R² {fit.r_squared:.5f} over {fit.points} points{outliers}"
     return f"{fit.quantity}, {fit.direction}: {numbers}; {quality}"
 
@@ -195,8 +193,8 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     if rise <= finest:
         notice(
             "inductance-unresolved",
-            f"L/R of the best set is {1e3 * rise:.3g} ms and the finest fitted log is compared every "
-            f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small",
+            f"L/R of the best set is {1e3 * rise:.3g} ms, but the fastest fitted log has a row every "
+            f"{1e3 * finest:.3g} ms: the logs show that L is small, not how small; record at 1 kHz or more",
         )
 
     unknown = untested_rows(campaign, bench)
@@ -256,7 +254,7 @@ def _findings(
                 "doubt": "the range over which the NRMSE of its trials is within 1 % of the lowest",
             }
             for name, one in profiles.items()
-            # Without a scale the current itself means nothing, whatever range of it serves.
+            # Without Kv or a motor current the scale of the current is arbitrary.
             if bench.scale_known or name != SATURATION[0]
         },
         "static_curves_of_best_set": [
@@ -282,8 +280,9 @@ def _about_saturation(
             why = "no trial of use = 'fit' shows them by a reversal or by a start from rest inside its window"
             notice(
                 "dead-band-not-fitted",
-                f"saturation_current and saturation_speed are not fitted ({why}); they keep Table I's "
-                f"{best['saturation_current']:g} A and {best['saturation_speed']:g} rad/s",
+                f"saturation_current and saturation_speed are not fitted ({why}); they stay at "
+                f"{best['saturation_current']:g} A and {best['saturation_speed']:g} rad/s, which the paper's "
+                "Table I states of another motor: do not simulate reversals or starts from rest with them",
             )
         return {"fitted": False, "why": why}
     trials, parts = ", ".join(band.trials), band.shown_by.replace("_", " ")
@@ -295,8 +294,8 @@ def _about_saturation(
     if problem.bench.banded[0].entry.direction != "reversal":
         notice(
             "dead-band-from-starts",
-            "the dead band rests on starts from rest alone: it does not describe a controller that reverses "
-            "in another way; add a reversal trial of use = 'fit'",
+            "only starts from rest show the dead band, so it does not describe a controller that reverses in "
+            "another way; add a reversal trial of use = 'fit'",
         )
     if {*SATURATION} <= {*profiles}:
         low, high = profiles[SATURATION[1]].interval
@@ -304,8 +303,8 @@ def _about_saturation(
             notice(
                 "dead-band-edge-open",
                 f"{parts} of {trials} do not determine saturation_speed: from {low:.2g} to {high:.2g} rad/s, "
-                "each with the saturation_current that fits best, the NRMSE is within 1 % of the lowest; its "
-                "digits mean nothing",
+                "each with the saturation_current that fits best, the NRMSE is within 1 % of the lowest; do "
+                "not use its value",
             )
     walked = {
         name: {"values": one.values.tolist(), "nrmse": one.nrmse.tolist()} for name, one in profiles.items()

@@ -183,8 +183,8 @@ def _known_values(
             notice(
                 "kv-against-current",
                 f"motor.kv says {1.0 / motor.kv:.4g} N·m/A, torque over the logged motor current "
-                f"{current.value:.4g} ± {current.error:.2g} N·m/A: the rating is used; leave motor.kv out to "
-                "use the current, or correct log.current",
+                f"{current.value:.4g} ± {current.error:.2g} N·m/A: the fit uses the rating; leave motor.kv "
+                "out to use the current, or correct log.current",
             )
     elif current is not None:
         values |= dict.fromkeys(CONSTANTS, current.value)
@@ -262,9 +262,9 @@ def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
             if trial.only_starts:
                 notice(
                     "little-but-a-start",
-                    "little but a start from rest, so R, L and the delay rest on Table I's dead band; add "
-                    "steps between running speeds, or state motor.saturation_current and "
-                    "motor.saturation_speed",
+                    "little but a start from rest, so R, L and the delay depend on a dead band that the "
+                    "paper's Table I states of another motor; add steps between running speeds, or state "
+                    "motor.saturation_current and motor.saturation_speed",
                     trial=trial.entry.name,
                 )
     default = [name for name in FREE_DEFAULT if name != "viscous_damping" or not bench.curves.ties]

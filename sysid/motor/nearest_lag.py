@@ -137,7 +137,7 @@ class FirstOrderRotor:
         if self.levels is None:
             return steady_state(command, self.parameters)[1]
         u, speed = self.levels.T
-        # As the fit does: monotone between the levels, straight on beyond the last.
+        # The fit does the same: monotone between the levels, straight on beyond the last.
         slope = (speed[-1] - speed[-2]) / (u[-1] - u[-2])
         inside = PchipInterpolator(u, speed)(np.clip(command, u[0], u[-1]))
         return np.asarray(inside + np.maximum(command - u[-1], 0.0) * slope)

@@ -63,8 +63,8 @@ class MotorProblem(Problem):
     threads: int | None = None
     ideal_reversal: bool = False
     stated_noise: FloatArray | None = None
-    # By the kernel's status. Too expensive: some hundred times the steps of an ordinary trial, a bound that a
-    # resumed fit meets at the same step, and below 0.1 s.
+    # These are the kernel's statuses in their order. Too expensive is a trial of some hundred times the steps
+    # of an ordinary one: a resumed fit meets that bound at the same step, in less than 0.1 s.
     causes = ("no_steady_state", "too_expensive", "not_finite", "step_collapsed")
     # Load cells and tachometers of thrust stands are accurate to 0.5 % and better.
     small = 2e-3

@@ -103,7 +103,7 @@ def _lengths(axes: Axes, drone: DroneShape, unit: float, arm: float) -> None:
 
 def _forces(axes: Axes, drone: DroneShape, unit: float, along: FloatArray, normal: FloatArray) -> None:
     arrow(axes, (0, 0), (0, -0.5 * unit), _WEIGHT)
-    # On the left of the arrow: the angle of the leg is written on its right.
+    # The words stand left of the arrow, because the angle of the leg is written on its right.
     _write(axes, (-6, -0.5 * unit), r"$m_B\,g$", _WEIGHT)
     joint, rear = drone.joints[1], drone.feet[0]
     middle = 0.5 * (joint + drone.feet[1])

@@ -118,7 +118,7 @@ class MotorReport(FitReport):
             (
                 f"{row['quantity'].replace('_', '-')}, {row['direction']}",
                 f"R² {row['r_squared']:.5f}, {row['points']} points"
-                + (f", {row['outliers']} outliers" if row["outliers"] else ""),
+                + (f", outliers: {row['outliers']}" if row["outliers"] else ""),
             )
             for row in stated
         ]

@@ -148,7 +148,7 @@ def _motor(sets: ParameterSets, rank: int, mass: float | None) -> bytes:
         raise ExportError(f"{sets.name}, set {rank}: {numbers.missing[0]}")
     rotor = FirstOrderRotor(sets.set_values(rank))
     head = f"{sets.name}, set {rank} of {len(sets)}."
-    # Both state how well the fit explains its logs.
+    # Without repeats, because both say how well the fit explains its logs.
     notes = list(dict.fromkeys((head, *numbers.notes, *_certainty(sets))))
     if rotor.reverse_thrust_constant > 0:
         notes.append(

@@ -75,7 +75,7 @@ def open_fleets(
             f"{', '.join(str(path) for path in gears)}: the surfaces are {', '.join(surfaces)}; give one "
             "gear file per surface"
         )
-    # By surface: fits of two surfaces may well have folders of one name.
+    # Keys are surfaces, because fits of two surfaces may well have folders of one name.
     places = zip(surfaces, gears, loaded, strict=True)
     gear = {surface: _origin(path, sets, out) for surface, path, sets in places}
     origin = {"sysid": __version__, "pairing": motors.pair, "ideal_reversal": motors.ideal_reversal}

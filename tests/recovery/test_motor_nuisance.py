@@ -346,7 +346,9 @@ def test_a_trial_that_is_little_but_a_start_is_warned_of(forward: Path) -> None:
     (begin, end) = trial.target.time[[0, -1]]
     short = replace(bench, trials=(replace(trial, starts=((begin, begin + 0.9 * (end - begin)),)),))
     assert short.fitted[0].only_starts
-    with pytest.warns(UserWarning, match="forward-1: little but a start from rest, so R, L and the"):
+    with pytest.warns(
+        UserWarning, match="forward-1: little but a start from rest, so R, L and the delay depend"
+    ):
         motor_space(read, short)
     # A dead band that the campaign states stays, and there is nothing to warn of.
     given = {"saturation_current": "campaign", "saturation_speed": "campaign"}

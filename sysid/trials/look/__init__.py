@@ -391,7 +391,7 @@ def inspect_bench(recording: Recording) -> tuple[BenchReport, list[Finding]]:
     for name, rest, unit in (("thrust", report.rest_thrust, "N"), ("torque", report.rest_torque, "N·m")):
         if np.isfinite(rest) and abs(rest) > _TARE * np.ptp(known[name].values[known[name].valid]) > 0:
             sentence = f"{name} reads {rest:.3g} {unit} before anything turns: no tare; subtract it"
-            found.append(Finding("no-tare", sentence))
+            found.append(Finding("no-tare", f"{sentence} (fit-motor does)"))
     if "speed" in known:
         time, turns = known["speed"].time[known["speed"].valid], known["speed"].values[known["speed"].valid]
         lost = drop_outs(time, turns)
