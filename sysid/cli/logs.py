@@ -106,6 +106,7 @@ def new_campaign(
     source: Annotated[
         tuple[Path, ...], Flag("Fill in what these logs say: a log or a folder.", "--from")
     ] = (),
+    format: LogFormat = "auto",
     option: LoaderOption = (),
     force: Force = False,
     json: Json = False,
@@ -113,14 +114,14 @@ def new_campaign(
     """Write a campaign file that describes your recordings.
 
     The whole file says how each value is measured. The minimal one has what a fit needs, filled in from the
-    logs where they say it; what only you can measure stands there as TODO, which is refused. Loader options
-    that the logs need are written into it.
+    logs where they say it; what only you can measure stands there as TODO, which is refused. A format and
+    loader options that the logs need, as `sysid inspect` prints them, are written into it.
     """
     from sysid.workflows.inspect import parse_options
     from sysid.workflows.new_campaign import write_new_campaign
 
     given = log_files((*source, *(logs or ())))
-    options = parse_options(option)
+    options = parse_options(option) | ({} if format == "auto" else {"format": format})
     written = write_new_campaign(kind, out, given, minimal=minimal, options=options, force=force)
     print_next(written, f"edit it, then run sysid check {out} and sysid fit-{kind} {out}", json)
 

@@ -309,10 +309,11 @@ def _sentence(judged: Adequacy, at_bound: Sequence[str], remedy: str) -> str:
     if judged.but_for:
         word = f"explained but for {judged.but_for}"
     if judged.verdict == EXPLAINED_BY:
-        return f"{word}: {scores}; worst channel {where.channel}, {where.channel_ratio:.2f} ×"
+        return f"{word}: {scores}; worst channel {channel_symbol(where.channel)}, {where.channel_ratio:.2f} ×"
     text = (
-        f"{word}: {scores}; the misfit sits in {where.channel} ({where.channel_ratio:.1f} × its noise), most "
-        f"{where.phase} ({where.phase_ratio:.1f} ×) and on {where.trial} ({where.trial_ratio:.1f} ×)"
+        f"{word}: {scores}; the misfit sits in {channel_symbol(where.channel)} ({where.channel_ratio:.1f} × "
+        f"its noise), most {where.phase} ({where.phase_ratio:.1f} ×) and on {where.trial} "
+        f"({where.trial_ratio:.1f} ×)"
     )
     if judged.verdict == NOT_BY:
         text += "; the model lacks something, so no parameter is well known"

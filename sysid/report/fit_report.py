@@ -283,7 +283,7 @@ class FitReport:
             verdict = "is doubtful" if document.flagged else "shows no doubt"
             mean = percent_text(document.nrmse)
             out.append(f"The validation on {name} {verdict} ({mean}).")
-        return out or ["Nothing is known about trials that were not fitted: none was held back."]
+        return out or ["No trial was kept out of the fit (use = 'validate'), so none tests its prediction."]
 
     def _determined(self) -> list[str]:
         fit, out = self.fit, []

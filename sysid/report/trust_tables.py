@@ -300,8 +300,8 @@ def cross_table(document: Comparison) -> Table:
         "NRMSE [%] of the best set of a fit (row) on the fitted trials of another (column)",
         [(n, *map(percent, scores)) for n, scores in zip(document.fits, document.cross or (), strict=True)],
         ("best set of", *document.fits),
-        "a set brings its fitted values; the values that its fit took as known count where the campaign "
-        "states none; every log keeps its clock offset",
+        "each trial is simulated with the set's fitted values; the others are those that the trial's own "
+        "campaign states, or else those of the set's fit; every log keeps its clock offset",
     )
 
 

@@ -285,10 +285,10 @@ def _bench_lines(bench: BenchReport) -> list[str]:
             f"top speed {number(bench.top_speed)} rad/s ({number(bench.top_speed * 30 / np.pi)} rpm)"
         )
     if bench.commands:
+        hidden = f", {bench.stalls_at_commands} of them at a command, whose instant is lost"
         lines.append(
             f"{bench.commands} command levels from {number(bench.lowest_command)} to "
-            f"{number(bench.highest_command)}; logger stalls: {bench.stalls}, of which "
-            f"{bench.stalls_at_commands} hide when a command was given"
+            f"{number(bench.highest_command)}; logger stalls: {bench.stalls}{hidden if bench.stalls else ''}"
         )
     if np.isfinite(bench.rest_thrust) or np.isfinite(bench.rest_torque):
         lines.append(

@@ -113,8 +113,8 @@ def unseen(fit: FitResult, problem: Problem, path: Path) -> list[str]:
     left = _without_logs(fit, problem, fitted)
     if not left:
         raise FitError(
-            f"{path}: the fit was made from every trial in it, so they validate nothing; hold trials back "
-            "with use = 'validate', or ask for sysid cross-validate"
+            f"{path}: the fit was made from every trial in it, so they validate nothing; keep trials out of "
+            "the fit with use = 'validate', or run sysid cross-validate"
         )
     return left
 

@@ -250,7 +250,7 @@ def _notes(trials: int, boot: Solved | None, given: Mapping[str, str]) -> list[s
         lost = int(np.count_nonzero(~boot.converged))
         out.append(
             f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end; "
-            "they count in its intervals from where they are"
+            "its intervals take their values as they are"
         )
     if given:
         out.append(

@@ -224,6 +224,9 @@ def test_a_new_campaign_reads_the_logs_with_the_options_and_states_them(tmp_path
     campaign = read_campaign(target, "motor")
     recording, _ = read_log(campaign, target, campaign.trials[0])
     assert recording["torque"].values[0] == pytest.approx(1e-4)
+    form = ("--format", "load-cell-csv")
+    assert run("new-campaign", "motor", "--from", log, *form, *words, "--out", target, "--force")[0] == 0
+    assert tomllib.loads(target.read_text(encoding="utf-8"))["log"]["format"] == "load-cell-csv"
     refused(["'tare' is for none"], "new-campaign", "motor", "--from", log, *words, "-o", "tare=1",
             "--out", tmp_path / "none.toml")  # fmt: skip
     assert not (tmp_path / "none.toml").exists()
