@@ -531,6 +531,9 @@ def integrate_population(
     """
     n_trials = starts.size
     most_steps = min(MAX_STEPS, CANDIDATE_STEPS // n_trials)
+    # Fresh memory for every job would cost as much as the simulation.
+    longest = np.max(np.diff(first))
+    all_speeds, all_charges = np.empty(longest), np.empty(longest + 1)
     for job in range(first_job, last_job):
         i = job // n_trials
         j = job % n_trials
@@ -538,7 +541,7 @@ def integrate_population(
         row[DELAY] += delays[i, j]
         time = samples[first[j] : first[j + 1]]
         edge = edges[first[j] + j : first[j + 1] + j + 1]
-        speeds, charges = np.empty(time.size), np.empty(edge.size)
+        speeds, charges = all_speeds[: time.size], all_charges[: edge.size]
         code, share, _ = integrate(
             row,
             command_time[command_first[j] : command_first[j + 1]],
