@@ -110,6 +110,8 @@ class BenchLogs(BenchLogOptions):  # type: ignore[misc]
     torque_sign: Literal["auto", "+", "-"] = "auto"
     thrust_sign: Literal["auto", "+", "-"] = "auto"
     current: Literal["supply", "motor"] = "supply"
+    # Standard error of the calibration of the load cells, as a share; typical where nothing is stated.
+    calibration_error: Annotated[float, stated_in("1"), Field(ge=0, lt=1)] = 0.01
 
 
 class ChebyshevFilter(TomlTable):

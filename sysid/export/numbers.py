@@ -83,6 +83,8 @@ _DOWN = "lag nearest to the speed after a step down, off by {off:.1f} % of the s
 _THRUST = "thrust = {} Ω², off by {{off:.1f}} % of the largest thrust at worst"
 # Speed at full command over the fastest measured one from which it is extrapolated [1].
 _BEYOND = 1.02
+# Command below full that counts as full [1].
+_AT_FULL = 5e-3
 # Words of a law that holds over the command.
 _X = "over the command"
 _CURVE = f"thrust t = {{0}} x² + (1 - {{0}}) x {_X} x, off by {{{{off:.1f}}}} % at worst; "
@@ -283,10 +285,12 @@ def numbers_for(
     Notes
     -----
     An interval combines, as independent, what each judged parameter and each static curve adds at the ends
-    of its own 95 % interval (the two coefficients of a curve together); a parameter whose interval is open
-    counts up to the bound of the search. Constants that the campaign states, such as Kv and inertia, and the
-    calibration of the load cell are taken as exact. Where the model does not explain the logs, time constants
-    are those of the logs' own steps, if the fit states them.
+    of its own 95 % interval (the two coefficients of a curve together), the calibration of the load cells
+    for thrust and for torque, and what steady speeds under one command differ by; a parameter whose interval
+    is open counts up to the bound of the search. Constants that the campaign states, such as Kv and inertia,
+    are taken as exact. Where the steady speed is no line of the command, its levels count as they were
+    measured, with the supply that sags under their load. Where the model does not explain the logs, time
+    constants are those of the logs' own steps, if the fit states them.
 
     Examples
     --------
@@ -303,19 +307,24 @@ def numbers_for(
         raise ExportError(f"unknown target {target!r}; expected one of {', '.join(TARGETS)}")
     if sets.kind != "motor":
         raise ExportError(f"{target} takes a motor's numbers; {sets.name} has {sets.kind} sets")
-    times, levels, commanded = _seen(sets)
+    times, supply, commanded = _seen(sets)
+    levels = np.array(supply["measured"])[:, :2] if supply else None
     known = dict(sets.set_values(rank)) | {name: float(row["value"]) for name, row in times.items()}
     rotor = FirstOrderRotor(known, levels)
     values = np.array([_value(number, rotor) for number in form.numbers])
 
-    def moved(changed: dict[str, float]) -> FloatArray:
-        other = FirstOrderRotor(known | changed, levels)
+    def moved(changed: dict[str, float], faster: float = 0.0) -> FloatArray:
+        others = None if levels is None else levels * [1.0, 1.0 + faster]
+        other = FirstOrderRotor(known | changed, others)
         return np.array([_value(number, other) for number in form.numbers]) - values
 
     below, above = np.zeros(len(values)), np.zeros(len(values))
     of_times = [tuple({name: end} for end in row["interval_95"]) for name, row in times.items()]
-    for ends in (*of_times, *_ends(sets, known, rotor)):
-        both = np.array([moved(end) for end in ends])
+    repeats = _NORMAL_95 * (supply.get("repeats") or 0.0)
+    for both in (
+        *(np.array([moved(end) for end in ends]) for ends in (*of_times, *_ends(sets, known, rotor))),
+        np.array([moved({}, -repeats), moved({}, repeats)]),
+    ):
         below += np.minimum(both, 0.0).min(axis=0) ** 2
         above += np.maximum(both, 0.0).max(axis=0) ** 2
     unsure = np.zeros(len(values), dtype=bool)
@@ -348,7 +357,8 @@ def numbers_for(
         rows.append(Given(number.name, number.unit, value, pair, law, why))
     if all(row.why_not or not callable(number.value) for row, number in zip(rows, form.numbers, strict=True)):
         raise ExportError(f"{sets.name}, set {rank}: {rows[0].why_not}")
-    return TargetNumbers(target, sets.name, rank, tuple(rows), _check(form, rotor, mass), _notes(sets, rotor))
+    notes = _notes(sets, rotor, supply)
+    return TargetNumbers(target, sets.name, rank, tuple(rows), _check(form, rotor, mass), notes)
 
 
 def _value(number: Number, rotor: FirstOrderRotor) -> float:
@@ -367,8 +377,12 @@ def _ends(
         if name in PARAMETERS and row.judged:
             low, high = ({name: end} for end in row.judged.interval_95)
             yield (_tied(rotor, low), _tied(rotor, high)) if tied and name in _DYNAMIC else (low, high)
+    calibration = sets.settings.get("stand", {}).get("calibration", 0.0)
     for names, (first, second), rho in _errors(sets):
-        for root in ((first, rho * second), (0.0, math.sqrt(1.0 - rho**2) * second)):
+        roots = [(first, rho * second), (0.0, math.sqrt(1.0 - rho**2) * second)]
+        if names[0].startswith(("thrust", "torque")):
+            roots.append((calibration * known[names[0]], calibration * known[names[1]]))
+        for root in roots:
             low, high = (
                 {name: known[name] + side * _NORMAL_95 * size for name, size in zip(names, root, strict=True)}
                 for side in (-1.0, 1.0)
@@ -382,20 +396,21 @@ def _tied(rotor: FirstOrderRotor, changed: dict[str, float]) -> dict[str, float]
     return changed | FirstOrderRotor(rotor.parameters | changed).line_through(commands, rotor.speed(commands))
 
 
-def _seen(sets: ParameterSets) -> tuple[dict[str, Any], FloatArray | None, bool]:
-    """Return what logs show without the model: times of the speed's steps, steady levels, any command.
+def _seen(sets: ParameterSets) -> tuple[dict[str, Any], Mapping[str, Any], bool]:
+    """Return what logs show without the model: times of the speed's steps, forward supply law, any command.
 
-    The times serve where the model does not explain the logs, the levels where their speed is no line of the
-    command.
+    The times serve where the model does not explain the logs, the law where its levels are no line of the
+    command; else it is empty.
     """
     stand, law = sets.settings.get("stand"), sets.settings.get("supply_law")
     times = stand.get("times", {}) if isinstance(stand, Mapping) else {}
     forward = law.get("forward", {}) if isinstance(law, Mapping) else {}
-    levels = np.array(forward["levels"])[:, :2] if forward.get("law") == "map" else None
+    is_map = forward.get("law") == "map" and "measured" in forward
     unexplained = sets.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY
     # The dead time of a step is known where a log has the command.
     commanded = not times or "dead_time" in times
-    return {name: times[name] for name in TIMES if name in times and unexplained}, levels, commanded
+    seen = {name: times[name] for name in TIMES if name in times and unexplained}
+    return seen, forward if is_map else {}, commanded
 
 
 def _errors(sets: ParameterSets) -> Iterator[tuple[tuple[str, ...], tuple[float, float], float]]:
@@ -443,25 +458,57 @@ def _check(form: Format, rotor: FirstOrderRotor, mass: float | None) -> str:
     )
 
 
-def _notes(sets: ParameterSets, rotor: FirstOrderRotor) -> tuple[str, ...]:
-    """Return what holds for all numbers: range of the command, supply, how well the fit explains its logs."""
+def _notes(sets: ParameterSets, rotor: FirstOrderRotor, law: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what holds for all numbers: what is exact, full command and its supply, the fit's verdict."""
+    stand = sets.settings.get("stand", {})
+    calibration, curves = stand.get("calibration"), stand.get("curves", ())
     out = ["Intervals take Kv, the inertia and the calibration of the load cell as exact."]
-    curves = sets.settings.get("stand", {}).get("curves", ())
-    fastest = max((abs(one["speed"]) for one in curves), default=math.inf)
-    if rotor.maximum_speed > _BEYOND * fastest:
+    if calibration is not None:
+        out = [
+            "Intervals take Kv and the inertia as exact; thrust and torque have "
+            f"{100 * calibration:g} % (one standard deviation) for the calibration of the load cells."
+        ]
+    common = {row["quantity"]: row for row in curves if row["direction"] == "forward" and row.get("common")}
+    if common:
+        words = (
+            f"{name} {rounded(row['value'])} {'N' if name == 'thrust' else 'N·m'} (95 % "
+            f"{interval(tuple(row['interval_95']), (False, False))})"
+            for name, row in common.items()
+        )
+        speed, top = (
+            max(row["speed"] for row in curves if row["direction"] == "forward" and row["common"] == shared)
+            for shared in (True, False)
+        )
+        beyond = "" if speed <= top else f", beyond the steady points, which end at {rounded(top)} rad/s"
+        out.append(
+            f"To compare with other logs of this propeller: {', '.join(words)} at {speed:g} rad/s{beyond}."
+        )
+    command: Mapping[str, Any] = sets.settings.get("command", {})
+    protocol = isinstance(command, Mapping) and {"minimum", "maximum", "unit"} <= {*command}
+    volts, supply = float(sets.best["reference_voltage"]), "a supply that stays at"
+    last, fastest, ratio = law["measured"][-1] if law else (1.0, math.inf, 1.0)
+    if law:
+        volts *= ratio
+        supply = "the stand's own supply, which sags with the load: it has"
+    elif rotor.maximum_speed > _BEYOND * max((abs(one["speed"]) for one in curves), default=math.inf):
+        fastest = max(abs(one["speed"]) for one in curves)
         out.append(
             f"The logs end at {rounded(fastest)} rad/s: the speed at full command, "
             f"{rounded(rotor.maximum_speed)} rad/s, and its thrust are extrapolated to a supply that does "
             "not sag, which no log shows."
         )
-    command: Mapping[str, Any] = sets.settings.get("command", {})
-    if isinstance(command, Mapping) and {"minimum", "maximum", "unit"} <= {*command}:
+    if law and last < 1.0 - _AT_FULL:
+        out.append(
+            f"Full command lies beyond the logs, which end at {100 * last:.3g} % of it with "
+            f"{rounded(fastest)} rad/s: what is stated of full command is extrapolated from the last levels."
+        )
+    if protocol:
         start = command["neutral"] if command.get("bidirectional") else command["minimum"]
         unit = "" if command["unit"] == "1" else f" {command['unit']}"
-        volts = float(sets.best["reference_voltage"])
+        where = f" at {100 * last:.3g} % of full command" if law else ""
         out.append(
-            f"Full command is {command['maximum']:g}{unit}, none is {start:g}{unit}, at a supply that stays "
-            f"at {volts:.4g} V."
+            f"Full command is {command['maximum']:g}{unit}, none is {start:g}{unit}, at {supply} "
+            f"{volts:.4g} V{where}."
         )
     if judged := sets.provenance.get(ADEQUACY):
         out.append(f"Fit {judged['sentence']}.")

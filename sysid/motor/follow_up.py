@@ -8,6 +8,7 @@ from typing import NotRequired, TypedDict
 
 import numpy as np
 
+from sysid.campaign import MotorCampaign
 from sysid.fit.kind import Course, FitOutcome
 from sysid.fit.result import RankedSets
 from sysid.fit.stopping import CutReason, CutShort
@@ -32,6 +33,7 @@ from sysid.motor.targets import PreparedTrial
 from sysid.parameter_sets import (
     COMBINATIONS,
     INTERVALS,
+    KNOWN_ANYHOW,
     NOT_ALONE,
     NOT_ASSESSED,
     ParameterRecord,
@@ -86,10 +88,11 @@ def _treatment(trial: PreparedTrial) -> Iterator[Finding]:
         yield replace(note("logger-stalls", sentence), trials=trials, size=lost)
 
 
-def shown_by_stand(bench: Bench) -> StandValues:
+def shown_by_stand(campaign: MotorCampaign, bench: Bench) -> StandValues:
     """Return what the fitted logs give without a winding."""
     constant = bench.values.get("torque_constant", PARAMETERS.nominal["torque_constant"])
-    return stand_values([trial.log for trial in bench.fitted], bench.curves, constant)
+    logs = [trial.log for trial in bench.fitted]
+    return stand_values(logs, bench.curves, constant, campaign.log.calibration_error)
 
 
 def begin_fit(problem: MotorProblem) -> None:
@@ -117,7 +120,7 @@ def begin_fit(problem: MotorProblem) -> None:
                 "levels (the report shows them), but exported sets have the straight line alone, which "
                 f"misses the levels by {100 * tie.misfit:.2g} % of the top speed (rms)",
             )
-    shown = shown_by_stand(bench)
+    shown = shown_by_stand(campaign, bench)
     for sentence in shown.sentences():
         tell(sentence)
     for found in shown.findings():
@@ -205,6 +208,9 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     if band is not None:
         at_bound[:, searched] = band.at_bound
     u_of = campaign_range(campaign)
+    shown = shown_by_stand(campaign, bench)
+    stated = shown.document()
+    free = best["winding_resistance"] if "winding_resistance" in space.names else None
     # Further facts that a simulator must know.
     circumstances: dict[str, object] = {
         "command": {
@@ -217,7 +223,8 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         "stator_torque": "k_m I_eff - k_d Ω, positive when it drives the rotor forward",
         "static_curves": [fit.document() for fit in bench.curves.fits],
         "supply_law": {way: tie.document(way in bench.curves.maps) for way, tie in bench.laws.items()},
-        "stand": shown_by_stand(bench).document(),
+        "stand": stated | {"sentences": [*stated["sentences"], *shown.beside(best["command_delay"], free)]},
+        KNOWN_ANYHOW: shown.in_short,
         "tolerance": FIT_TOLERANCE,
     }
     return FitOutcome(

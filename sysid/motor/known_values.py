@@ -15,9 +15,11 @@ from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, check_
 from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_curves
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
+from sysid.motor.stand import lost_power
 from sysid.motor.static_curves import NoLoadTie, no_load_line, turns
 from sysid.motor.targets import PreparedTrial, prepare_run
 from sysid.parameters import SearchSpace
+from sysid.trials.steady import SteadyPoints
 from sysid.types import Rotation
 
 # Loaded speed at full command over the unloaded one, V_ref/k_v [1], about: a guess for motors of unknown Kv,
@@ -91,6 +93,18 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
         _check_kv(campaign.motor.kv, reference, curves)
     current = torque_per_current(fitted) if campaign.log.current == "motor" else None
     values, measured, stated = _known_values(campaign, curves, reference, voltage_source, current)
+    points = SteadyPoints.join(list(curves.loaded.values()))
+    slow = not any(log.fast for log in fitted) and campaign.log.current == "supply"
+    power = None
+    if slow and campaign.motor.kv is not None and curves.ties:
+        power = lost_power(points, values["torque_constant"])
+    if power is not None and power.resistance > 0:
+        # Between two rows of such a log the winding has settled: the response to a step does not show R.
+        values["winding_resistance"] = power.resistance
+        measured["winding_resistance"] = (
+            f"lost power of {len(power.speeds)} steady levels under the rating's Kv, 95 % from "
+            f"{power.interval_95[0]:.3g} to {power.interval_95[1]:.3g} Ω"
+        )
     chosen, rated = campaign.parameters, campaign.motor.kv is not None or current is not None
     # One constant alone says nothing where the other is a guess.
     scale_known = rated or all(name in chosen.fixed for name in CONSTANTS)
@@ -247,6 +261,7 @@ def _check_choice(chosen: tuple[str, ...], given: Collection[str], scale_known: 
 def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     """Return what the dynamic fit frees: the campaign's, or R, L and k_d, and what else its logs need.
 
+    R is not free where slow logs give it by the power that their steady levels lose.
     The rotor's inertia is free where it was not measured; the command delay always, one per log where there
     are several, and the torque sensor's delay and lag where a trial is a slow log, unless the campaign fixes
     them. k_d is free by default only where a log without propeller gives Ω_0: with Ω_0 from loaded points,
@@ -267,7 +282,8 @@ def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
                     "motor.saturation_current and motor.saturation_speed",
                     trial=trial.entry.name,
                 )
-    default = [name for name in FREE_DEFAULT if name != "viscous_damping" or not bench.curves.ties]
+    without = {"viscous_damping"} if bench.curves.ties else set()
+    default = [name for name in FREE_DEFAULT if name not in without | {*bench.measured}]
     needed = ["command_delay"]
     if any(not trial.log.fast for trial in bench.fitted):
         needed += ["torque_sensor_delay", "torque_sensor_lag"]

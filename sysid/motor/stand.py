@@ -15,6 +15,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares, nnls
@@ -26,10 +27,9 @@ from sysid.trials.bench_log import AT_REST
 from sysid.trials.steady import SETTLE, SteadyPoints
 from sysid.types import FloatArray, Rotation
 
-# Typical standard error of the calibration of a stand's load cells [1]: no log shows it.
-CALIBRATION = 0.01
-# Speeds at which curves are stated, as shares of the fastest steady point [1].
-_SHARES = (0.25, 0.5, 0.75, 1.0)
+# Curves are stated at round speeds, of which logs of one propeller share some: at least this number up to the
+# fastest steady point, and farther by this factor [1].
+_ROUND, _FARTHER = 2, 1.1
 # Least step of the speed and least speed that show a time constant, as shares of the top speed [1], and the
 # time before and after a step over which its levels are averaged [s].
 _LEAST_STEP, _LEAST_SPEED, _AVERAGED = 0.02, 0.1, 0.3
@@ -46,13 +46,17 @@ _WIDE = 1.96
 
 @dataclass(frozen=True)
 class CurveValue:
-    """Thrust [N] or torque [N·m] at a speed [rad/s]; the interval contains the stand's calibration."""
+    """Thrust [N] or torque [N·m] at a speed [rad/s]; the interval contains the stand's calibration.
+
+    A `common` speed is a round one, which logs of one propeller share; else it is the fastest steady point.
+    """
 
     quantity: str
     direction: Rotation
     speed: float
     value: float
     interval_95: tuple[float, float]
+    common: bool
 
 
 @dataclass(frozen=True)
@@ -88,21 +92,29 @@ class StandValues:
     curves: tuple[CurveValue, ...]
     power: LostPower | None
     times: dict[str, StepTime]
+    # Standard error of the calibration of the load cells [1]: no log shows it.
+    calibration: float = 0.0
 
-    def document(self) -> dict[str, object]:
+    def document(self) -> dict[str, Any]:
         """Return what a result states."""
         said = [*self.sentences(), *(found.sentence for found in self.findings())]
-        return {**asdict(self), "calibration": CALIBRATION, "sentences": said}
+        return {**asdict(self), "sentences": said}
 
     def sentences(self) -> Iterator[str]:
         """Yield the values in words."""
-        tops = {(row.quantity, row.direction): row for row in self.curves}
-        for row in tops.values():
-            unit = "N" if row.quantity == "thrust" else "N·m"
-            low, high = row.interval_95
+        tops = {row.direction: abs(row.speed) for row in self.curves if not row.common}
+        for name, each in itertools.groupby(self.curves, lambda row: f"{row.quantity}, {row.direction}"):
+            rows = list(each)
+            top = tops[rows[0].direction]
+            unit = "N" if name.startswith("thrust") else "N·m"
+            words = (
+                f"{row.value:.4g} {unit} ({row.interval_95[0]:.4g} to {row.interval_95[1]:.4g}) at "
+                f"{abs(row.speed):.4g} rad/s{'' if abs(row.speed) <= top else ', beyond the steady points'}"
+                for row in rows
+            )
             yield (
-                f"{row.quantity}, {row.direction}, at {abs(row.speed):.4g} rad/s: {row.value:.4g} {unit}, "
-                f"95 % from {low:.4g} to {high:.4g} with {100 * CALIBRATION:g} % for the stand's calibration"
+                f"{name}: {', '.join(words)}; 95 %, with {100 * self.calibration:g} % for the calibration of "
+                "the load cells"
             )
         if self.times:
             words = (
@@ -121,8 +133,49 @@ class StandValues:
                 f"of {_rpm(p.least_kv):.4g} rpm/V or more"
             )
 
+    @property
+    def in_short(self) -> str:
+        """What counts whatever the winding is, in words: curves at the fastest common speed, times."""
+        shared = [row for row in self.curves if row.common]
+        speed = max((row.speed for row in shared), key=abs, default=0.0)
+        words = [
+            f"{row.quantity} {row.value:.4g} {'N' if row.quantity == 'thrust' else 'N·m'} "
+            f"({row.interval_95[0]:.4g} to {row.interval_95[1]:.4g})"
+            for row in shared
+            if row.speed == speed
+        ]
+        out = [f"{' and '.join(words)} at {abs(speed):.4g} rad/s"] if words else []
+        out += [
+            f"{name.replace('_', ' ')} {1e3 * row.value:.3g} ms"
+            for name, row in self.times.items()
+            if row.value > 0
+        ]
+        return ", ".join(out)
+
+    def beside(self, delay: float, resistance: float | None) -> Iterator[str]:
+        """Yield why the fitted delay [s] and resistance [Ω] differ from these; None where R was not free."""
+        if (time := self.times.get("dead_time")) and not time.interval_95[0] <= delay <= time.interval_95[1]:
+            yield (
+                f"the fit's command delay is {1e3 * delay:.3g} ms: it comes before a rotor of the stated "
+                f"inertia and R, the dead time of {1e3 * time.value:.3g} ms before a lag with the time "
+                "constants above; the dead time is what the log shows, the delay makes up for inertia and R"
+            )
+        if self.power is not None and resistance is not None:
+            yield (
+                f"the fit's R is {1e3 * resistance:.3g} mΩ, from the response to steps; the lost power's "
+                f"{1e3 * self.power.resistance:.3g} mΩ contain what iron and controller lose"
+            )
+
     def findings(self) -> Iterator[Finding]:
-        """Yield where the steady levels contradict a motor of one resistance, or its Kv."""
+        """Yield clocks that are offset, and where steady levels contradict a motor of one R, or its Kv."""
+        if (time := self.times.get("dead_time")) and time.interval_95[1] < 0:
+            sentence = (
+                f"the speed moves {-1e3 * time.value:.3g} ms before its command "
+                f"({-1e3 * time.interval_95[1]:.3g} to {-1e3 * time.interval_95[0]:.3g}): their clocks are "
+                "offset by that and the dead time, which is not known; record both on one clock, or join the "
+                "loggers by a signal that both recorded at 1 kHz"
+            )
+            yield Finding("speed-before-command", sentence)
         if self.power is None:
             return
         p, each = self.power, self.power.apparent_resistances
@@ -147,22 +200,29 @@ def _rpm(speed: float) -> float:
     return 30.0 / np.pi * speed
 
 
-def stand_values(logs: Sequence[BenchLog], curves: StaticCurves, constant: float) -> StandValues:
-    """Return what fitted logs, each of one direction, give under a torque constant k_m [N·m/A]."""
+def stand_values(
+    logs: Sequence[BenchLog], curves: StaticCurves, constant: float, calibration: float
+) -> StandValues:
+    """Return what fitted logs, each of one direction, give under a torque constant k_m [N·m/A].
+
+    The `calibration` of the load cells has this standard error [1].
+    """
     rows = []
     for fit in curves.fits:
         if fit.quantity == "no_load":
             continue
         speeds = curves.loaded[fit.direction].speed
         top = float(np.max(speeds) if fit.direction == "forward" else np.min(speeds))
-        for share in _SHARES:
-            value, error = fit.at(share * top)
-            half = _WIDE * float(np.hypot(error, CALIBRATION * value))
-            rows.append(
-                CurveValue(fit.quantity, fit.direction, share * top, value, (value - half, value + half))
-            )
+        decade = 10.0 ** np.floor(np.log10(abs(top) / _ROUND))
+        step = max(k * decade for k in (1.0, 2.0, 5.0) if k * decade <= abs(top) / _ROUND)
+        shared = np.sign(top) * step * np.arange(1.0, 1.0 + np.floor(_FARTHER * abs(top) / step))
+        for speed in sorted((*shared.tolist(), top), key=abs):
+            value, error = fit.at(speed)
+            half = _WIDE * float(np.hypot(error, calibration * value))
+            ends = (value - half, value + half)
+            rows.append(CurveValue(fit.quantity, fit.direction, speed, value, ends, speed != top))
     power = lost_power(SteadyPoints.join(list(curves.loaded.values())), constant)
-    return StandValues(tuple(rows), power, step_times(logs))
+    return StandValues(tuple(rows), power, step_times(logs), calibration)
 
 
 def lost_power(points: SteadyPoints, constant: float) -> LostPower | None:

@@ -17,7 +17,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression, least_squares
 
 from sysid.errors import FitError
-from sysid.types import BoolArray, FloatArray, Rotation
+from sysid.types import BoolArray, FloatArray, IntArray, Rotation
 
 # Median absolute deviation of a normal distribution in units of its standard deviation.
 _MAD = 0.6745
@@ -116,18 +116,47 @@ class NoLoadTie:
     standing: float = 0.0
 
     @cached_property
+    def _by_level(self) -> tuple[FloatArray, IntArray, FloatArray]:
+        """|u| (k,) of the levels [1], the level of each point (n,) and the point's weight in it (n,) [1]."""
+        size = np.abs(self.columns)
+        u, index = np.unique(np.round(size[:, 0] / size[:, 1], 6), return_inverse=True)
+        return u, index, self.weights / np.bincount(index, self.weights)[index]
+
+    @cached_property
     def levels(self) -> FloatArray:
-        """(k, 3) the map of the supply law: |u|, and |Ω| [rad/s] and |τ| [N·m] at V_ref, which never fall.
+        """(k, 3) the map of the supply law: |u|, and |Ω| [rad/s] and |τ| [N·m] over V/V_ref; none falls.
 
         A level that was commanded several times is one; the first one is that of a rotor that stands.
         """
-        size = np.abs(self.columns)
-        u, index = np.unique(np.round(size[:, 0] / size[:, 1], 6), return_inverse=True)
-        share = self.weights / np.bincount(index, self.weights)[index]
-        means = [np.bincount(index, share * np.abs(each) / size[:, 1]) for each in self.points.T]
+        u, index, share = self._by_level
+        ratio = np.abs(self.columns[:, 1])
+        means = [np.bincount(index, share * np.abs(each) / ratio) for each in self.points.T]
         rising = [isotonic_regression(each, weights=np.bincount(index, self.weights)).x for each in means]
         map_ = np.column_stack([u, *rising])
         return np.vstack([[min(self.standing, u[0] - 1e-3), 0.0, 0.0], map_])
+
+    @cached_property
+    def measured(self) -> FloatArray:
+        """(k, 3) the levels under the supply of the logs: |u|, |Ω| [rad/s], which never falls, V/V_ref [1].
+
+        A supply that sags takes speed where the load is large: at V_ref the rotor would be faster, and by
+        less than V_ref/V.
+        """
+        u, index, share = self._by_level
+        speed, ratio = (
+            np.bincount(index, share * np.abs(each)) for each in (self.points[:, 0], self.columns[:, 1])
+        )
+        rising = isotonic_regression(speed, weights=np.bincount(index, self.weights)).x
+        return np.vstack([[self.levels[0, 0], 0.0, 1.0], np.column_stack([u, rising, ratio])])
+
+    @cached_property
+    def repeats(self) -> float:
+        """Standard deviation of a speed whose command was held several times, over its mean [1]; else NaN."""
+        _, index, _ = self._by_level
+        speed, count = np.abs(self.points[:, 0]), np.bincount(index)
+        off = speed / (np.bincount(index, speed) / count)[index] - 1.0
+        freedom = len(speed) - len(count)
+        return float(np.sqrt(off @ off / freedom)) if freedom else float("nan")
 
     @cached_property
     def misfit(self) -> float:
@@ -138,11 +167,13 @@ class NoLoadTie:
 
     def document(self, is_map: bool) -> dict[str, object]:
         """Return the supply law as a result states it: its levels, and whether they or a line serve."""
-        columns = ["command [1]", "loaded speed at V_ref [rad/s]", "drag at V_ref [N·m]"]
+        columns = ["command [1]", "loaded speed V_ref/V [rad/s]", "drag V_ref/V [N·m]"]
+        measured = ["command [1]", "loaded speed [rad/s]", "V/V_ref [1]"]
         law = "map" if is_map else "line"
         return {
             "law": law, "misfit_of_line": self.misfit, "line": self.lines[0].tolist(), "columns": columns,
-            "levels": self.levels.tolist(),
+            "levels": self.levels.tolist(), "measured_columns": measured, "measured": self.measured.tolist(),
+            "repeats": self.repeats if np.isfinite(self.repeats) else None,
         }  # fmt: skip
 
     def mapped(self, u: FloatArray) -> FloatArray:

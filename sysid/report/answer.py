@@ -12,7 +12,7 @@ import numpy as np
 from sysid.documents import rounded
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, ROUGHLY_BY
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import Judged, Known
+from sysid.parameter_sets import KNOWN_ANYHOW, Judged, Known
 from sysid.parameters import common_name
 from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
 from sysid.report.table import NONE, Cell, Table, numbers, table, words
@@ -112,10 +112,16 @@ def next_step(fit: FitResult, trust: TrustDocument | None, predicted: bool, fold
         return "the search was not finished; fit again with more generations before you read a number."
     if judged.get("verdict") == NOT_BY:
         at = judged["misfit"]
-        return (
-            f"no value counts yet: look at {at['channel']} {at['phase']} on {at['trial']}, where the misfit "
-            f"sits, and change the campaign or the model: `sysid ladder {folder}` tries what it may lack."
+        look = (
+            f"look at {at['channel']} {at['phase']} on {at['trial']}, where the misfit sits, and change the "
+            f"campaign or the model: `sysid ladder {folder}` tries what it may lack."
         )
+        if anyhow := fit.settings.get(KNOWN_ANYHOW):
+            return (
+                f"use {anyhow}: they need no model, and `sysid export {folder} --for gazebo` (or px4, "
+                f"ardupilot, rotorpy, crazyflow) writes them. Values of the model do not count yet: {look}"
+            )
+        return f"no value counts yet: {look}"
     if trust is None:
         return f"run `sysid trust {folder}` for intervals: what the data identify is not known yet."
     lost = [row.symbol for row in trust.parameters if row.lost]

@@ -23,6 +23,7 @@ from sysid.fit.adequacy import NOT_BY, Bias
 from sysid.fit.optima import unfixed
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import record_lines, run_record
+from sysid.parameter_sets import KNOWN_ANYHOW
 from sysid.parameters import in_words
 from sysid.report.answer import (
     IN_A_WORD,
@@ -250,14 +251,24 @@ class FitReport:
         fit, trials = self.fit, sum(trial.use == "fit" for trial in self.fit.trials)
         low, high = percent_text(float(fit.nrmse.min())), percent_text(float(fit.nrmse.max()))
         judged, out = fit.provenance.get("adequacy"), []
+        part = ""
+        if judged and percent_text(judged["nrmse"]) != low:
+            part = (
+                f", over whole trials; the {percent_text(judged['nrmse'])} of the verdict leave out what the "
+                "search does not compare, such as starts from rest"
+            )
         noise = f", where noise alone costs {percent_text(judged['floor'])}" if judged else ""
+        # The first sentence is one that a person can act on.
+        if judged and judged["verdict"] == NOT_BY and (anyhow := fit.settings.get(KNOWN_ANYHOW)):
+            out.append(f"Without any model the trials give {anyhow}: use those.")
         if judged and (sentence := judged["sentence"]):
             out.append(f"{sentence[:1].upper()}{sentence[1:]}.")
         out.append(
             f"{fit.name}, {self.model}: the {_counted(len(fit.nrmse), 'set')} "
             f"fit{'s' if len(fit.nrmse) == 1 else ''} {_counted(trials, self.noun)} with an NRMSE of "
             f"{low if low == high else f'{low} to {high}'}{noise} "
-            f"(rms error over {fit.provenance.get('nrmse_denominator', 'std')} of the measurement)."
+            f"(rms error over {fit.provenance.get('nrmse_denominator', 'std')} of the measurement)"
+            f"{part}."
         )
         out += [*self._predicted(), *self._determined()]
         agreement, total = fit.agreement, len(fit.runs)

@@ -167,7 +167,7 @@ def supply_view(direction: str, law: Mapping[str, Any]) -> View:
     curves = [line, Curve("steady levels", speed, "ink", "dots", x=u)]
     if law["law"] == "map":
         curves.insert(1, Curve("map", speed, "best", x=u))
-    panels = [Panel("loaded speed at V_ref", "rad/s", curves)]
+    panels = [Panel("loaded speed V_ref/V", "rad/s", curves)]
     off = Curve("off", speed[1:] - slope * u[1:] - intercept, "best", "dots", x=u[1:])
     panels.append(Panel("levels off the straight line", "rad/s", [off], low=True))
     title = f"supply law, {direction}"

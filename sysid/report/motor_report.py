@@ -80,8 +80,8 @@ class MotorReport(FitReport):
 
     @titled(
         "Supply law",
-        "Loaded speed of the steady levels over the command, at the reference voltage. Where a straight line "
-        "misses them, the levels are the law: V_c = k_v Ω_0(u) V/V_ref, with the measured voltage V.",
+        "Loaded speed of the steady levels over the command, times V_ref over the measured voltage V. Where "
+        "a straight line misses them, the levels are the law: V_c = k_v Ω_0(u) V/V_ref.",
     )
     def supply_law(self) -> Html:
         """Return the map from command to speed."""

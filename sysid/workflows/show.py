@@ -10,7 +10,7 @@ from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder
-from sysid.parameter_sets import ADEQUACY, NOT_ASSESSED, ParameterSets
+from sysid.parameter_sets import ADEQUACY, KNOWN_ANYHOW, NOT_ASSESSED, ParameterSets
 from sysid.report.fold import print_lines, print_table
 from sysid.report.ladder import conclusion
 from sysid.report.set_tables import (
@@ -67,7 +67,9 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
         (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
         (f"export {folder} --out sets.json", "the sets for a simulator"),
     )
+    anyhow = (f"export {folder} --for gazebo", "thrust, torque and time constants, which need no model")
     mend = (
+        *([anyhow] if result.settings.get(KNOWN_ANYHOW) else []),
         (f"check {campaign}", "do the logs contradict the campaign?"),
         (f"ladder {folder}", "which physics does the model lack?"),
     )
@@ -100,6 +102,8 @@ def verdict_on(result: FitResult) -> str:
         if judged["verdict"] == NOT_BY:
             lost.insert(0, "no parameter is well known")
     known = "; ".join(lost) or "every free parameter is identifiable"
+    if judged is not None and judged["verdict"] == NOT_BY and (anyhow := result.settings.get(KNOWN_ANYHOW)):
+        fits = f"use {anyhow}, which need no model; of the model: {fits}"
     warned = len(result.warnings)
     count = f"{warned or 'no'} warning{'' if warned == 1 else 's'}"
     return f"{fits}; {known.replace('_', ' ')}; {count}"

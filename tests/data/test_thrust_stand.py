@@ -8,7 +8,6 @@ import pytest
 from fakes import places
 from fakes.motor_bench import bench_of
 from sysid.motor.follow_up import shown_by_stand
-from sysid.motor.stand import CALIBRATION
 from sysid.workflows.fit import fit_motor
 from sysid.workflows.options import FitOptions
 
@@ -49,18 +48,18 @@ maximum = 2000
 def benches(tmp_path_factory: pytest.TempPathFactory) -> dict:
     folder = tmp_path_factory.mktemp("stand")
     with pytest.warns(match="no command is logged"):
-        return {log: bench_of(_campaign(folder, log, kv))[1] for log, kv, _, _ in LOGS}
+        return {log: bench_of(_campaign(folder, log, kv)) for log, kv, _, _ in LOGS}
 
 
 def test_one_propeller_has_one_thrust_and_torque(benches) -> None:
     intervals: dict[str, list[tuple[float, float]]] = {"thrust": [], "torque": []}
-    for bench in benches.values():
-        for fit in bench.curves.fits:
-            value, error = fit.at(SPEED)
+    for campaign, bench in benches.values():
+        shown = [row for row in shown_by_stand(campaign, bench).curves if row.speed == SPEED]
+        assert {row.quantity for row in shown} == {*TRUTH}
+        for row in shown:
             # Required: 2.5 %.
-            assert value == pytest.approx(TRUTH[fit.quantity], rel=0.025)
-            half = 1.96 * np.hypot(error, CALIBRATION * value)
-            intervals[fit.quantity].append((value - half, value + half))
+            assert row.value == pytest.approx(TRUTH[row.quantity], rel=0.025)
+            intervals[row.quantity].append(row.interval_95)
     for ends in intervals.values():
         assert len(ends) == 3
         assert max(low for low, _ in ends) < min(high for _, high in ends)
@@ -68,7 +67,8 @@ def test_one_propeller_has_one_thrust_and_torque(benches) -> None:
 
 @pytest.mark.parametrize(("log", "kv", "commanded", "drop_outs"), LOGS)
 def test_drop_outs_are_counted_and_empty_commands_found(benches, log, kv, commanded, drop_outs) -> None:
-    (trial,) = benches[log].trials
+    bench = benches[log][1]
+    (trial,) = bench.trials
     assert trial.log.commanded == commanded
     said = [str(note) for note in trial.log.notes if note.code == "speed-drops-out"]
     assert len(said) == 1
@@ -77,13 +77,13 @@ def test_drop_outs_are_counted_and_empty_commands_found(benches, log, kv, comman
     shown = np.isfinite(trial.target.measured[:, 1]) & ~trial.target.valid[:, 1]
     assert shown.sum() >= drop_outs
     # The walk has some twenty throttles.
-    assert 17 <= len(benches[log].curves.loaded["forward"]) <= 22
+    assert 17 <= len(bench.curves.loaded["forward"]) <= 22
 
 
 def test_a_hobby_controller_is_no_line(benches) -> None:
     # A level of the speed is no command.
-    assert [bool(benches[log].laws) for log, *_ in LOGS] == [True, False, False]
-    curves = benches["Log_2019-11-09_181347"].curves
+    assert [bool(benches[log][1].laws) for log, *_ in LOGS] == [True, False, False]
+    curves = benches["Log_2019-11-09_181347"][1].curves
     assert curves.maps == ("forward",)
     levels = curves.ties["forward"].levels
     # It does not start below 1150 µs.
@@ -94,13 +94,17 @@ def test_a_hobby_controller_is_no_line(benches) -> None:
 
 @pytest.mark.parametrize(("log", "kv", "commanded", "drop_outs"), LOGS)
 def test_a_log_gives_time_constants_and_power(benches, log, kv, commanded, drop_outs) -> None:
-    shown = shown_by_stand(benches[log])
+    shown = shown_by_stand(*benches[log])
     # A 7-inch propeller on 22 to 28 mm stators: first-order lags seen by eye in the plots.
     assert 0.025 < shown.times["time_constant_up"].value < 0.05
     assert ("dead_time" in shown.times) == commanded
     assert shown.power is not None
     assert 0.05 < shown.power.resistance < 0.25
     assert "power-of-no-resistance" in {finding.code for finding in shown.findings()}
+    # One resistance: the fit takes what the lost power shows, for no step of such a log does.
+    bench = benches[log][1]
+    assert bench.values["winding_resistance"] == shown.power.resistance
+    assert "lost power" in bench.measured["winding_resistance"]
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pytest
 from fakes.motor_bench import bench_of
 from fakes.places import REAL
 from sysid.loaders import load
+from sysid.motor.follow_up import shown_by_stand
 from sysid.motor.model import aerodynamic_torque, thrust
 
 STAND, CONTROLLER = (REAL / "esc_test" / name for name in ("Log_2019-11-05_171350.csv", "f40_steps_5-2.csv"))
@@ -58,10 +59,12 @@ def test_its_curves_are_those_of_the_propeller(joined, run, tmp_path):
     # Only what the label states is typed in.
     text = text.replace("TODO rpm/V", "1600 rpm/V")
     path.write_text(re.sub(r"^rotor_inertia.*\n", "", text, flags=re.MULTILINE), encoding="utf-8")
-    _, bench = bench_of(path)
+    campaign, bench = bench_of(path)
     # Least squares on the steady rows of six public logs with this propeller: 10.2 N, 0.132 N·m.
     assert float(thrust(1500.0, bench.values)) == pytest.approx(10.2, rel=0.025)
     assert float(aerodynamic_torque(1500.0, bench.values)) == pytest.approx(0.132, rel=0.025)
     (trial,) = bench.trials
     assert trial.entry.direction == "forward"
     assert trial.log.steps.level.max() == 1.0
+    # Joined by a speed of 42 Hz, the command comes later than the speed that it causes.
+    assert "speed-before-command" in {found.code for found in shown_by_stand(campaign, bench).findings()}

@@ -363,7 +363,7 @@ def test_names_of_strangers_end_no_comment():
 
 # What a slow stand shows beside a model that does not explain it: a law over the command that is no
 # line, and steps of the speed.
-LEVELS = [[0.1, 0.0, 0.0], [0.3, 300.0, 0.02], [0.6, 480.0, 0.05], [0.9, 690.0, 0.08]]
+LEVELS = [[0.1, 0.0, 1.0], [0.3, 300.0, 0.99], [0.6, 480.0, 0.97], [0.9, 690.0, 0.9]]
 TIMES = {
     "time_constant_up": {"value": 0.041, "interval_95": [0.039, 0.043], "steps": 18},
     "time_constant_down": {"value": 0.052, "interval_95": [0.047, 0.057], "steps": 2},
@@ -371,7 +371,11 @@ TIMES = {
 
 
 def stand(law="map", verdict=NOT_BY, **times):
-    settings = {"supply_law": {"forward": {"law": law, "levels": LEVELS}}, "stand": {"times": TIMES | times}}
+    # Over V/V_ref the levels say how the controller acts, not how fast the rotor turns.
+    scaled = [[u, speed / ratio, 0.0] for u, speed, ratio in LEVELS]
+    forward = {"law": law, "levels": scaled, "measured": LEVELS, "repeats": 0.01}
+    settings = {"supply_law": {"forward": forward}, "stand": {"times": TIMES | times, "calibration": 0.01}}
+    settings["command"] = {"minimum": 1000.0, "maximum": 2000.0, "unit": "us"}
     judged = {"verdict": verdict, "sentence": "judged", "nrmse": 0.1, "floor": 0.01, "ratio": 9.0}
     provenance = {"adequacy": judged | {"limits": {}, "channels": []}}
     return replace(assessed(**settings), provenance=provenance)
@@ -385,6 +389,13 @@ def test_steady_levels_that_are_no_line_are_the_law_of_the_command():
     np.testing.assert_allclose(steady_state(np.array([0.3, 0.6]), p)[1], [300.0, 480.0], rtol=1e-9)
     rows = numbers_for(sets, "gazebo").to_frame()
     assert rows.value["maxRotVelocity"] == pytest.approx(760.0)
+    # Speeds under one command differ by 1 %.
+    ends = rows.loc["maxRotVelocity", ["interval_low", "interval_high"]].tolist()
+    assert ends == pytest.approx([760.0 * (1 - 0.0196), 760.0 * (1 + 0.0196)])
+    notes = numbers_for(sets, "gazebo").notes
+    assert any("beyond the logs, which end at 90 % of it with 690 rad/s" in note for note in notes)
+    volts = 0.9 * sets.best["reference_voltage"]
+    assert any(f"sags with the load: it has {volts:.4g} V at 90 %" in note for note in notes)
     force = thrust(rotor.speed(np.linspace(0, 1, 201)), rotor.parameters)
     (factor,) = (row.value for row in numbers_for(sets, "px4").rows if row.name == "THR_MDL_FAC")
     x = np.linspace(0, 1, 201)
@@ -406,6 +417,21 @@ def test_steps_of_the_log_are_the_time_constants_where_the_model_does_not_explai
     assert crazyflow.value["rotor_dyn_coef[2]"] == pytest.approx(1 / 0.052)
     explained = numbers_for(stand(verdict="explained"), "gazebo").to_frame()
     assert explained.value["timeConstantUp"] != 0.041
+
+
+def test_the_calibration_of_the_load_cells_is_inside_the_intervals():
+    def half(target, name, **stand):
+        sets = assessed(stand=stand)
+        row = numbers_for(sets, target).to_frame().loc[name]
+        return (row.interval_high - row.interval_low) / 2 / row.value
+
+    for target, name, cells in (
+        ("gazebo", "motorConstant", 1), ("gazebo", "momentConstant", 2), ("rotorpy", "k_m", 1),
+        ("crazyflow", "rpm2thrust[2]", 1), ("crazyflow", "rpm2torque[2]", 1),
+    ):  # fmt: skip
+        exact, loose = half(target, name), half(target, name, calibration=0.02)
+        # Thrust and torque are of two cells.
+        assert math.sqrt(loose**2 - exact**2) == pytest.approx(1.96 * 0.02 * math.sqrt(cells), rel=0.01)
 
 
 def test_a_log_without_a_command_has_no_curve_over_it():

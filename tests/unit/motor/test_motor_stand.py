@@ -7,7 +7,7 @@ import pytest
 
 from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population
 from sysid.motor.model import PARAMETERS, pack
-from sysid.motor.stand import LostPower, StandValues, lost_power, step_times
+from sysid.motor.stand import LostPower, StandValues, StepTime, lost_power, step_times
 from sysid.motor.static_curves import NoLoadTie, fit_speed_curve
 from sysid.trials.bench_log import CommandSteps
 from sysid.trials.steady import SteadyPoints
@@ -28,8 +28,19 @@ def test_map_passes_through_its_levels_and_never_falls() -> None:
     assert np.all(np.diff(many, axis=0) >= 0)
     assert np.all(TIE.mapped(np.array([0.0, 0.05, 0.1])) == 0)
     np.testing.assert_allclose(TIE.mapped(-U), -TIE.mapped(U))
+    # What was measured is not scaled to a supply that does not sag.
+    measured = TIE.measured[1:]
+    np.testing.assert_allclose(measured, np.column_stack([U, SPEED, RATIO])[:5])
+    assert TIE.repeats == 0
     # A line misses the levels by some 80 rad/s of 920.
     assert 0.05 < TIE.misfit < 0.15
+
+
+def test_speeds_under_one_command_say_how_far_they_repeat() -> None:
+    speed = np.append(SPEED[:5], 1.02 * SPEED[2])
+    tie = NoLoadTie(TIE.columns, np.column_stack([speed, DRAG * speed**2]), standing=0.1)
+    # One degree of freedom: 1 % off the mean, twice.
+    assert tie.repeats == pytest.approx(np.sqrt(2) * 0.01 / 1.01)
 
 
 @pytest.mark.parametrize("resistance", [0.1, 0.4])
@@ -83,6 +94,25 @@ def test_power_that_is_not_of_one_resistance_is_said() -> None:
     full.voltage[:] = 2.5e-3 * full.speed + 0.125 * full.current
     assert codes(lost_power(full, 2.5e-3)) == set()
     assert codes(lost_power(full, 5e-3)) == {"kv-below-current"}
+
+
+def test_one_dead_time_and_one_resistance_are_stated_and_the_others_explained() -> None:
+    def stand(dead_time: float) -> StandValues:
+        times = {"dead_time": StepTime(dead_time, (dead_time - 5e-3, dead_time + 5e-3), 18)}
+        return StandValues((), lost_power(_points(0.125, 0.0, 5e-3), 5e-3), times)
+
+    assert list(stand(0.03).beside(0.031, None)) == []
+    delay, resistance = stand(0.03).beside(0.045, 0.3)
+    assert "command delay is 45 ms" in delay
+    assert "dead time of 30 ms" in delay
+    assert "fit's R is 300 mΩ" in resistance
+    assert "lost power's 125 mΩ" in resistance
+    # No rotor moves before its command.
+    assert [found.code for found in stand(0.03).findings()] == []
+    (found,) = stand(-0.012).findings()
+    assert found.code == "speed-before-command"
+    assert "moves 12 ms before its command (7 to 17): their clocks are offset" in found.sentence
+    assert "dead time" not in stand(-0.012).in_short
 
 
 @pytest.mark.parametrize("commanded", [True, False])
