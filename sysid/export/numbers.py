@@ -468,20 +468,22 @@ def _notes(sets: ParameterSets, rotor: FirstOrderRotor, law: Mapping[str, Any]) 
             "Intervals take Kv and the inertia as exact; thrust and torque have "
             f"{100 * calibration:g} % (one standard deviation) for the calibration of the load cells."
         ]
-    common = {row["quantity"]: row for row in curves if row["direction"] == "forward" and row.get("common")}
-    if common:
-        words = (
-            f"{name} {rounded(row['value'])} {'N' if name == 'thrust' else 'N·m'} (95 % "
-            f"{interval(tuple(row['interval_95']), (False, False))})"
-            for name, row in common.items()
-        )
-        speed, top = (
-            max(row["speed"] for row in curves if row["direction"] == "forward" and row["common"] == shared)
-            for shared in (True, False)
-        )
-        beyond = "" if speed <= top else f", beyond the steady points, which end at {rounded(top)} rad/s"
+    forward = [row for row in curves if row["direction"] == "forward"]
+    top = max((row["speed"] for row in forward if not row.get("common")), default=0.0)
+    # The last round speed among the steady points, and the next one.
+    speeds = sorted(
+        {row["speed"] for row in forward if row.get("common")}, key=lambda speed: abs(speed - top)
+    )[:2]
+    words = (
+        f"{row['quantity']} {rounded(row['value'])} {'N' if row['quantity'] == 'thrust' else 'N·m'} (95 % "
+        f"{interval(tuple(row['interval_95']), (False, False))}) at {row['speed']:g} rad/s"
+        for row in forward
+        if row["speed"] in speeds
+    )
+    if speeds:
         out.append(
-            f"To compare with other logs of this propeller: {', '.join(words)} at {speed:g} rad/s{beyond}."
+            f"To compare with other logs of this propeller: {', '.join(words)}; steady points end at "
+            f"{rounded(top)} rad/s."
         )
     command: Mapping[str, Any] = sets.settings.get("command", {})
     protocol = isinstance(command, Mapping) and {"minimum", "maximum", "unit"} <= {*command}

@@ -84,7 +84,7 @@ _SPIN_UP_TIME = 0.1
 _DEAD_CURRENT = 0.1
 # Longest step with a term whose coefficient is constant within a step: right after a change of the voltage
 # [s], as a share of the time since then, and by the rise of a warming resistance within the step [1].
-_TERM_STEP, _TERM_SHARE, _TERM_RISE = 5e-4, 0.05, 1e-3
+_TERM_STEP, _TERM_SHARE, _TERM_RISE = 5e-4, 0.05, 1e-2
 
 _GAMMA = 0.25
 _C2, _C3, _C4 = 0.386, 0.21, 0.63
@@ -385,13 +385,14 @@ def integrate(
             last = h >= t_break - t
             step = t_break - t if last else h
             volt = volt_segment + volt_rate * (t - t_segment)
-            res = cold * (1.0 + warming * heat)
             if drop != 0.0 or warming != 0.0:
                 longest = max(_TERM_STEP, _TERM_SHARE * (t - t_segment))
                 if warming * current * current * longest > _TERM_RISE:
                     longest = max(_TERM_STEP, _TERM_RISE / (warming * current * current))
                 step = min(step, longest)
                 last = last and step == t_break - t
+            # As warm as half-way: constant in a step, the resistance is then of second order in time.
+            res = cold * (1.0 + warming * (heat + 0.5 * step * current * current))
             if drop != 0.0:
                 more, slope = _dead_time(step, level, current, volt - k_v * speed, res, ind, drop)
                 volt, res = volt + more, res + slope

@@ -136,7 +136,8 @@ class StandValues:
     @property
     def in_short(self) -> str:
         """What counts whatever the winding is, in words: curves at the fastest common speed, times."""
-        shared = [row for row in self.curves if row.common]
+        tops = {row.direction: abs(row.speed) for row in self.curves if not row.common}
+        shared = [row for row in self.curves if row.common and abs(row.speed) <= tops[row.direction]]
         speed = max((row.speed for row in shared), key=abs, default=0.0)
         words = [
             f"{row.quantity} {row.value:.4g} {'N' if row.quantity == 'thrust' else 'N·m'} "
