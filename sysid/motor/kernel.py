@@ -82,8 +82,8 @@ _EVENT = 6
 _SPIN_UP_TIME = 0.1
 # Current below which the dead-time voltage fades [A].
 _DEAD_CURRENT = 0.1
-# Longest step with a term whose coefficient is constant within a step: right after a change of the voltage
-# [s], as a share of the time since then, and by the rise of a warming resistance within the step [1].
+# Longest step with a term whose coefficient is constant within a step: right after a command [s], as a share
+# of the time since then, and by the rise of a warming resistance within the step [1].
 _TERM_STEP, _TERM_SHARE, _TERM_RISE = 5e-4, 0.05, 1e-2
 
 _GAMMA = 0.25
@@ -309,6 +309,8 @@ def integrate(
     omega_min = row[OMEGA_MIN]
     t = begin
     t_end = end
+    # The current's transients follow commands; at a knot of the supply the voltage does not jump.
+    t_changed = t
     span = max(t_end - t, 1e-300)
 
     at_command = 0
@@ -386,7 +388,7 @@ def integrate(
             step = t_break - t if last else h
             volt = volt_segment + volt_rate * (t - t_segment)
             if drop != 0.0 or warming != 0.0:
-                longest = max(_TERM_STEP, _TERM_SHARE * (t - t_segment))
+                longest = max(_TERM_STEP, _TERM_SHARE * (t - t_changed))
                 if warming * current * current * longest > _TERM_RISE:
                     longest = max(_TERM_STEP, _TERM_RISE / (warming * current * current))
                 step = min(step, longest)
@@ -506,6 +508,7 @@ def integrate(
             break
         while at_command + 1 < n_command and command_time[at_command + 1] + row[DELAY] <= t:
             at_command += 1
+            t_changed = t
             # A new command starts a transient of the current: do not begin it with a long step.
             h = min(h, 0.1 * max(ind / res, 1e-4))
         while at_supply + 1 < n_supply and supply_time[at_supply + 1] <= t:
