@@ -101,23 +101,21 @@ def missing(
         columns = _raw_columns(read_text(source))
     except SysidError:
         return None
-    nearest, renamed = _nearest(columns)
-    if format != "auto" or "columns" in options:
-        nearest, renamed = "", {}
+    nearest, renamed = _nearest(columns) if format == "auto" else ("", {})
+    renamed = {} if "columns" in options else renamed
+    out = None
     if read is None:
         chosen, found = "", dict[str, object]()
         if format == "auto":
             try:
                 detect(path)
             except LogError:
-                if not nearest and "columns" not in options:
+                if not nearest:
                     return Missing(columns, "", {}, "")
                 chosen, found = nearest, {"columns": renamed} if renamed else {}
         out, read = _completed(path, format, options, columns, chosen, found)
         if chosen or out.fault:
             return out
-    else:
-        out = None
     # A column whose name says a channel, beside others that the format of the content knows.
     if nearest == "load-cell-csv" and {*renamed} - {"time", *read}:
         whole, more = _completed(path, format, options, columns, nearest, {"columns": renamed})
@@ -146,7 +144,7 @@ def _completed(
             if not more:
                 return Missing(columns, chosen, found, str(error)), ()
             for name, value in more.items():
-                stated = found.get("columns", {})
+                stated = given.get("columns", {})
                 found[name] = _guess(
                     name, value, given, by_name, stated if isinstance(stated, Mapping) else {}
                 )

@@ -104,6 +104,14 @@ def test_what_nothing_in_the_log_tells_stands_as_todo_which_is_refused(write, ca
     assert load(path, **(options | {"rate": "1 kHz"}))["speed"].time.size == ROWS
 
 
+def test_given_columns_stay_and_the_format_is_offered_with_them(write, capsys):
+    path = write(lines("a,motor_rpm,load_g", milliseconds, lambda i: 40 * i, lambda i: 3.1 * i))
+    columns = {"time": "a", "speed": "motor_rpm", "thrust": "load_g"}
+    _, words = told(path, capsys, columns=columns)
+    units = {"time": "ms", "thrust": "gf"}
+    assert offered(words) == ("load-cell-csv", {"columns": columns, "units": units})
+
+
 def test_a_log_that_is_read_without_its_speed_is_offered_with_it(write, capsys):
     path = write(
         lines("Time [ms],ESC [us],Motor speed [rpm],Thrust [gf]", milliseconds, lambda i: 1000 + i,
