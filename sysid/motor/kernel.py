@@ -84,7 +84,7 @@ _SPIN_UP_TIME = 0.1
 _DEAD_CURRENT = 0.1
 # Longest step with a term whose coefficient is constant within a step: right after a command [s], as a share
 # of the time since then, and by the rise of a warming resistance within the step [1].
-_TERM_STEP, _TERM_SHARE, _TERM_RISE = 5e-4, 0.05, 1e-2
+_TERM_STEP, _TERM_SHARE, _TERM_RISE = 5e-4, 0.1, 1e-2
 
 _GAMMA = 0.25
 _C2, _C3, _C4 = 0.386, 0.21, 0.63
