@@ -7,9 +7,11 @@ import pytest
 
 from fakes import places
 from fakes.motor_bench import bench_of
+from sysid.export.numbers import numbers_for
 from sysid.motor.follow_up import shown_by_stand
 from sysid.workflows.fit import fit_motor
 from sysid.workflows.options import FitOptions
+from sysid.workflows.show import verdict_on
 
 STAND = places.REAL / "esc_test"
 # Log, Kv on the label [rpm/V], whether it has a command, drop-outs of the speed while it turns.
@@ -117,3 +119,7 @@ def test_fit_of_the_commanded_log(tmp_path: Path) -> None:
     assert trial.nrmse[0, result.channels.index("speed")] < 0.045
     assert "record torque and speed at 1 kHz" in result.provenance["adequacy"]["sentence"]
     assert result.settings["supply_law"]["forward"]["law"] == "map"
+    # What counts comes first, and full command is under the supply that sagged (1885 rad/s at most).
+    assert verdict_on(result).startswith("use torque 0.13 N·m (")
+    rows = numbers_for(result.parameter_sets(), "gazebo").to_frame()
+    assert 1800 < rows.value["maxRotVelocity"] < 1885
