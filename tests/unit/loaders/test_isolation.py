@@ -218,3 +218,20 @@ def test_text_and_hdf5_start_no_child(tmp_path, monkeypatch):
     path.write_bytes(cell_hdf5())
     load(path)
     load(SAMPLES / "motor" / "forward-1.csv")
+
+
+def test_a_program_that_is_traced_goes_on_after_it_has_read_a_log():
+    # A debugger, a profiler and a coverage tool trace; CPython 3.11 never left the next call.
+    lines = [
+        "import sys",
+        "from sysid.loaders import load",
+        "load(sys.argv[1])",
+        "sys.settrace(lambda *event: None)",
+        "(lambda: None)()",
+        "print('went on')",
+    ]
+    log = SAMPLES / "motor" / "forward-1.csv"
+    ended = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines), str(log)], capture_output=True, text=True, timeout=120
+    )
+    assert ended.stdout == "went on\n", ended.stderr
