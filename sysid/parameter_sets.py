@@ -22,7 +22,7 @@ from pydantic import BeforeValidator, Field
 from sysid import exact_json
 from sysid.documents import Document, OpenMapping, Part, interval, rounded
 from sysid.errors import ExportError
-from sysid.parameters import Parameter, SearchSpace
+from sysid.parameters import Parameter, SearchSpace, with_unit
 from sysid.shown import Shown
 from sysid.types import BoolArray, FloatArray
 
@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Flags = Annotated[list[bool], Field(min_length=2, max_length=2)]
-# Origin of a number, in this order: the search between its bounds; a measurement outside the fit; a default,
+# Origin of a number, in this order: the search between its bounds; a measurement with an error, which the fit
+# moved; a measurement outside the fit; a default,
 # rating or guess, see its source; other values of the set; nothing that was recorded, so that it is NaN.
-Status = Literal["free", "measured", "fixed", "derived", "unknown"]
+Status = Literal["free", "stated", "measured", "fixed", "derived", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -289,6 +290,14 @@ def parameter_records(
     out = []
     for name, row in space.table.items():
         status: Status
+        if name in space.stated:
+            value, error = space.stated[name], space.stated[name].error
+            source = (
+                f"the campaign states {with_unit(f'{value:.5g} ± {error:.2g}', row.unit)}; the fit moved it"
+            )
+            record = replace(ParameterRecord.of(row, "stated"), nominal=float(value), source=source)
+            out.append(replace(record, lower=None, upper=None, scale=None, stated_sigma=error))
+            continue
         if name in free:
             changed = (row.lower, row.upper) != (free[name].lower, free[name].upper)
             bounds = "the campaign" if changed else "the model's table"

@@ -7,8 +7,8 @@ and the fixed values of all others.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Literal, Protocol
@@ -18,12 +18,15 @@ from numpy.typing import NDArray
 
 from sysid.errors import CampaignError
 from sysid.journal import Finding
+from sysid.stated import Stated
 from sysid.types import BoolArray, FloatArray
 
 Scale = Literal["linear", "log"]
 
 # A value within this share of the unit-cube edge counts as lying at its bound.
 AT_BOUND = 0.01
+# Distance of a stated value's bounds from the value [its standard errors], and the least share of it.
+_FARTHEST_PULL, _LEAST_SHARE = 20.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -117,16 +120,23 @@ class ParameterTable(dict[str, Parameter]):
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace:
-    """Which parameters are free, between which bounds, and the values of the others."""
+    """Which parameters are free, between which bounds, and the values of the others.
+
+    A value that the campaign states with an error is free as well: its distance from what is stated, in
+    standard errors, is a further residual of the fit.
+    """
 
     table: ParameterTable
     # Free rows in search order, bounds already overridden by the campaign.
     free: tuple[Parameter, ...]
     # Value of every other row [its unit].
     fixed: Mapping[str, float]
+    # The last of the free rows: those that the campaign states with an error [its unit].
+    stated: Mapping[str, Stated] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "fixed", MappingProxyType(dict(self.fixed)))
+        for name in ("fixed", "stated"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @classmethod
     def build(
@@ -148,7 +158,37 @@ class SearchSpace:
 
     def __reduce__(self) -> tuple[type[SearchSpace], tuple[object, ...]]:
         # The content of a read-only view can travel to another process.
-        return SearchSpace, (self.table, self.free, dict(self.fixed))
+        return SearchSpace, (self.table, self.free, dict(self.fixed), dict(self.stated))
+
+    def freeing(self, rows: Iterable[Parameter]) -> SearchSpace:
+        """Return the space with further rows of its table free, between their bounds."""
+        rows = tuple(rows)
+        fixed = {name: value for name, value in self.fixed.items() if name not in {row.name for row in rows}}
+        free = (*self.found, *rows, *self.free[len(self.found) :])
+        return SearchSpace(self.table, free, fixed, self.stated)
+
+    def with_stated(self, stated: Mapping[str, Stated], more: Sequence[Parameter] = ()) -> SearchSpace:
+        """Return the space in which values with an error [SI] move; `more` are rows that the table lacks."""
+        table = ParameterTable([*self.table.values(), *more], self.table.derived)
+        rows = []
+        for name, value in stated.items():
+            reach, row = _FARTHEST_PULL * value.error, table[name]
+            low = max(value - reach, _LEAST_SHARE * value) if row.lower >= 0 else value - reach
+            rows.append(replace(row, lower=float(low), upper=float(value + reach), scale="linear"))
+        fixed = {name: value for name, value in self.fixed.items() if name not in stated}
+        fixed |= {row.name: row.nominal for row in more if row.name not in stated}
+        return SearchSpace(table, (*self.free, *rows), fixed, {**self.stated, **stated})
+
+    @property
+    def found(self) -> tuple[Parameter, ...]:
+        """The free rows of which nothing is stated: what the search looks for."""
+        return self.free[: len(self.free) - len(self.stated)]
+
+    def pulls(self, rows: FloatArray) -> FloatArray:
+        """Return how far rows (P, n_table) [SI] lie from the stated values (P, S) [standard errors]."""
+        places = [self.table.index[name] for name in self.stated]
+        errors = np.array([value.error for value in self.stated.values()])
+        return np.asarray((rows[:, places] - np.array([*self.stated.values()])) / errors)
 
     @property
     def names(self) -> tuple[str, ...]:

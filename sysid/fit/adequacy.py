@@ -141,6 +141,7 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
     """
     blocks = problem.blocks
     residuals, lost = problem.compared(row[None])
+    residuals = residuals[:, : blocks[-1].stop]
     # A lost simulation predicts nothing, which is an NRMSE of 1.
     whole = np.ones_like(residuals[0]) if lost[0] else residuals[0]
     rest = undisturbed(blocks, whole, problem.disturbances_at(row))

@@ -102,6 +102,7 @@ def descend(
     *,
     steps: FloatArray | None = None,
     fixed: BoolArray | None = None,
+    kept: FloatArray | None = None,
     central: bool = True,
     tolerance: float,
     iterations: int,
@@ -109,9 +110,10 @@ def descend(
     """Walk downhill, every front by at most `iterations` steps.
 
     `steps` (n,) are the displacements of the difference quotients [unit cube]; by default they follow from
-    the curvature at each front. Coordinates that are `fixed` (F, n) keep their value. `central` differences
-    cost two simulations per coordinate, one-sided ones cost one. A front has converged when two steps in a
-    row reduce its cost by less than the `tolerance`.
+    the curvature at each front. Coordinates that are `fixed` (F, n) keep their value. `kept` (k, m) are
+    derivatives of the last k coordinates that count at every point; by default all are taken anew in every
+    step. `central` differences cost two simulations per coordinate, one-sided ones cost one. A front has
+    converged when two steps in a row reduce its cost by less than the `tolerance`.
     """
     points, cost = fronts.points, fronts.cost
     count, n = points.shape
@@ -128,7 +130,7 @@ def descend(
         if not len(walking):
             return
         columns, usable = yield from _columns(
-            points[walking], current[walking], fixed[walking], widths[walking], central
+            points[walking], current[walking], fixed[walking], widths[walking], central, kept
         )
         at = points[walking]
         trials = np.repeat(at[:, None], len(_FACTORS), axis=1)
@@ -182,11 +184,19 @@ def drive(walk: Walk, residuals: Callable[[FloatArray], tuple[FloatArray, BoolAr
 
 
 def _columns(
-    at: FloatArray, current: FloatArray, fixed: BoolArray, widths: FloatArray, central: bool
+    at: FloatArray,
+    current: FloatArray,
+    fixed: BoolArray,
+    widths: FloatArray,
+    central: bool,
+    kept: FloatArray | None,
 ) -> Generator[FloatArray, tuple[FloatArray, BoolArray], tuple[FloatArray, BoolArray]]:
     """Return differences (F, n, m) of the residuals by coordinate, and which coordinates (F, n) have one."""
     count, n = at.shape
-    which = np.flatnonzero(~fixed.ravel())
+    derived = ~fixed
+    if kept is not None:
+        derived[:, n - len(kept) :] = False
+    which = np.flatnonzero(derived.ravel())
     axis = np.arange(n)
 
     def moved(by: FloatArray) -> FloatArray:
@@ -213,7 +223,10 @@ def _columns(
     out = np.zeros((count * n, values.shape[1]))
     usable = np.zeros(count * n, dtype=np.bool_)
     out[which], usable[which] = difference, ~lost
-    return out.reshape(count, n, -1), usable.reshape(count, n)
+    columns, moves = out.reshape(count, n, -1), usable.reshape(count, n)
+    if kept is not None:
+        columns[:, n - len(kept) :], moves[:, n - len(kept) :] = kept, True
+    return columns, moves
 
 
 def _inside(matrix: FloatArray, gradient: FloatArray, at: FloatArray) -> FloatArray:
@@ -259,21 +272,26 @@ class MeanNrmse:
             self._seen[block.start : block.stop] = inside
             self._counts[k] = max(1, int(np.count_nonzero(inside)))
         self._lengths = np.diff([*self._starts, len(self._seen)])
+        # Weight of the square of each distance from a stated value, see `Problem.evaluate`.
+        self._prior = 1.0 / objective.independent if objective.space.stated else 0.0
 
     def _scores(self, residuals: FloatArray) -> FloatArray:
         """Return the NRMSE of every block (..., B)."""
-        squares = np.add.reduceat(residuals**2 * self._seen, self._starts, axis=-1)
+        compared = residuals[..., : len(self._seen)]
+        squares = np.add.reduceat(compared**2 * self._seen, self._starts, axis=-1)
         return np.maximum(np.sqrt(squares / self._counts), LEAST_NRMSE)
 
     def cost(self, fronts: object, residuals: FloatArray) -> FloatArray:
         mean = np.einsum("...b,b->...", self._scores(residuals), self._weights)
-        return np.asarray(2.0 * np.log(mean))
+        pulls = residuals[..., len(self._seen) :]
+        return np.asarray(2.0 * np.log(mean) + self._prior * np.sum(pulls**2, axis=-1))
 
     def scale(self, front: int, residuals: FloatArray) -> FloatArray:
         scores = self._scores(residuals)
         mean = float(np.sum(self._weights * scores))
         each = np.sqrt(self._weights / (self._counts * scores * mean))
-        return np.asarray(np.repeat(each, self._lengths) * self._seen)
+        pulls = np.full(len(residuals) - len(self._seen), np.sqrt(self._prior))
+        return np.concatenate([np.repeat(each, self._lengths) * self._seen, pulls])
 
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.

@@ -203,6 +203,7 @@ def loose_findings(
         return ()
     low, high = _span(runs, space, SAME_NRMSE)
     wide = unfixed(runs, space.free)
+    wide[len(space.found) :] = False
     # Runs that end in one optimum may end in neighbouring dents of it.
     best = min(float(run.best[-1]) for run in runs)
     ends = space.decode(np.stack([r.best_point for r in runs if r.best[-1] <= (1 + SAME_NRMSE) * best]))
@@ -218,7 +219,7 @@ def loose_findings(
             f"{100 * SAME_NRMSE:g} % of the best NRMSE; do not read digits into it"
         )
         out.append(about(row, "not-identifiable", sentence, float(high[i] - low[i])))
-    weak = np.flatnonzero(~wide & (spread > _NAMED)) if ranges and len(runs) > 1 else ()
+    weak = np.flatnonzero((~wide & (spread > _NAMED))[: len(space.found)]) if ranges and len(runs) > 1 else ()
     if len(weak):
         shares = ", ".join(f"{in_words(space.free[i])} {100 * spread[i]:.2g} %" for i in weak)
         sentence = (

@@ -177,21 +177,43 @@ class Problem(ABC):
 
     def evaluate(self, cube: FloatArray) -> Evaluation:
         """Simulate and score points (P, n_free) [unit cube]."""
-        scores = self.score(self.space.full(cube))
+        rows = self.space.full(cube)
+        scores = self.score(rows)
         failed = first_cause(scores.cause, len(self.causes))
-        return Evaluation(self.cost.mean(scores.by_channel), failed, scores.cause.size)
+        return Evaluation(self._cost(rows, scores), failed, scores.cause.size)
+
+    @cached_property
+    def independent(self) -> float:
+        """Number of independent samples that the compared ones are worth [1]."""
+        model = self.correlation()
+        worth = dict(zip(model.channels, model.inflation, strict=True))
+        return sum(block.count / worth.get(block.channel, 1.0) for block in self.blocks)
+
+    def _cost(self, rows: FloatArray, scores: Scores) -> FloatArray:
+        """Return the mean NRMSE (P,) of rows [1], times what stated values cost that are left.
+
+        With N independent samples the logarithm of the NRMSE is the log-likelihood over -N, and a stated
+        value that is left by p standard errors takes p²/2 off the log-likelihood.
+        """
+        nrmse = self.cost.mean(scores.by_channel)
+        if not self.space.stated:
+            return nrmse
+        squares = np.sum(self.space.pulls(rows) ** 2, axis=1)
+        return np.asarray(nrmse * np.exp(squares / (2 * self.independent)))
 
     def examine(self, cube: FloatArray) -> tuple[Evaluation, FloatArray]:
         """Return what `evaluate` returns, and the residuals (P, m) [1]; NaN where a simulation failed."""
-        residuals, scores = self._compared(self.space.full(cube))
+        rows = self.space.full(cube)
+        residuals, scores = self._compared(rows)
         failed = first_cause(scores.cause, len(self.causes))
         residuals[failed > 0] = np.nan
-        return Evaluation(self.cost.mean(scores.by_channel), failed, scores.cause.size), residuals
+        return Evaluation(self._cost(rows, scores), failed, scores.cause.size), residuals
 
     def residuals(self, cube: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return residuals (P, m) in units of each channel's spread [1], and which points failed (P,).
 
-        The residuals of a failed point are finite and mean nothing.
+        The last ones are the distances from stated values, in standard errors. The residuals of a failed
+        point are finite and mean nothing.
         """
         return self.compared(self.space.full(cube))
 
@@ -202,7 +224,8 @@ class Problem(ABC):
 
     def _compared(self, rows: FloatArray) -> tuple[FloatArray, Scores]:
         """Return the residuals (P, m) and scores of rows, as many at once as their samples fit in memory."""
-        out = np.zeros((len(rows), self.blocks[-1].stop))
+        out = np.zeros((len(rows), self.size))
+        out[:, self.blocks[-1].stop :] = self.space.pulls(rows)
         by_channel = np.zeros((len(rows), len(self.trials), len(self.channels)))
         cause = np.zeros((len(rows), len(self.trials)), dtype=np.int8)
         for part in self.parts(len(rows)):
@@ -237,6 +260,11 @@ class Problem(ABC):
             for t, trial in enumerate(self.trials)
         )  # fmt: skip
 
+    @property
+    def size(self) -> int:
+        """Number of residuals m: those of the blocks, then one for every stated value."""
+        return self.blocks[-1].stop + len(self.space.stated)
+
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
         """Where the residuals of each trial's channels lie; channels without weight are left out."""
@@ -255,8 +283,16 @@ class Problem(ABC):
         return tuple(out)
 
     def disturbances(self, cube: FloatArray) -> FloatArray:
-        """Return `disturbances_at` of a point of the unit cube (n_free,)."""
-        return self.disturbances_at(self.space.full(np.atleast_2d(cube))[0])
+        """Return what one standard deviation of each assumed value does to the residuals (K, m).
+
+        At a point of the unit cube (n_free,): the errors of stated values, then `disturbances_at`.
+        """
+        count, stop = len(self.space.stated), self.blocks[-1].stop
+        of_trials = self.disturbances_at(self.space.full(np.atleast_2d(cube))[0])
+        out = np.zeros((count + len(of_trials), self.size))
+        out[:count, stop:] = np.eye(count)
+        out[count:, :stop] = of_trials
+        return out
 
     @property
     def base(self) -> FloatArray:
@@ -298,9 +334,10 @@ class Problem(ABC):
                 continue
             if name in row_logs and row_logs[name] not in seen:
                 continue
-            kept = name in known and (record.status != "free" or instrument)
+            searched = record.status in ("free", "stated")
+            kept = name in known and (not searched or instrument)
             # The mean delay of a fit is derived from the delays of its logs.
-            if not kept and (instrument or record.status in ("free", "fixed", "measured")):
+            if not kept and (instrument or searched or record.status in ("fixed", "measured")):
                 rows[:, column[name]] = values[:, i]
         return self.completed(rows, fit)
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from sysid.errors import FitError
 from sysid.fit.breeders.algorithms import breeder
-from sysid.fit.breeders.breeder import Breeder, Start
+from sysid.fit.breeders.breeder import Breeder, Keeping, Start
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.history import Generation, RunHistory, StageHistory
 from sysid.fit.least_squares import LeastSquares
@@ -110,13 +110,19 @@ class _Run:
 
     def history(self) -> RunHistory:
         seed = run_seeds(self.settings)[self.run]
-        n_free = len(self.objective.space.free)
+        space = self.objective.space
+        n_free, n_found = len(space.free), len(space.found)
+        # Only least squares moves what the campaign states.
+        nominal = [row.nominal for row in space.found]
+        kept_values = space.encode(np.array([*nominal, *space.stated.values()]))[n_found:]
         if self.checkpoint is not None:
             self.best = self.checkpoint.best(self.run, n_free)
         stages: list[StageHistory] = []
         start: Start | None = None
         cut: StopReason | None = None
         left = list(self.settings.stages)
+        if space.stated and "least-squares" not in left:
+            left.append("least-squares")
         while left:
             number, name = len(stages), left.pop(0)
             kept = None
@@ -137,7 +143,9 @@ class _Run:
                     population = self.settings.population if searching else finishing
                     child = np.random.SeedSequence(seed, spawn_key=(number,))
                     own = seed if searching else int(child.generate_state(1, np.uint32)[0])
-                    bred = breeder(name, n_free, population, own, start)
+                    if start is not None:
+                        start = replace(start, mean=start.mean[:n_found], spread=start.spread[:n_found])
+                    bred = Keeping(breeder(name, n_found, population, own, start), kept_values)
                 stage = self._bred(name, bred, self._limits(name, number, population))
                 start = bred.start()
                 if stage.stop_reason in _CUT:
@@ -149,7 +157,7 @@ class _Run:
             self.before += stage.wall_time
             if stage.stop_reason == "interrupted":
                 break
-            if name == "least-squares":
+            if name == "least-squares" and not space.stated:
                 # If more is left than noise, the search goes on as if least squares had not been tried.
                 left += [self.settings.algorithm] * (stage.stop_reason == "unexplained") + ["cmaes"]
         # The run was farther when it was killed or stopped before.
@@ -160,8 +168,9 @@ class _Run:
     def _limits(self, name: str, number: int, population: int) -> SearchSettings:
         """Return when a stage ends; of the run's budgets all stages but the last get a share."""
         fast = self.settings.finish == "least-squares"
-        last = name == "cmaes" or len(self.settings.stages) == 1
-        share = 1.0 if last else (_FAST_SHARES if fast else _SHARES)[number]
+        stated = bool(self.objective.space.stated)
+        last = name == "least-squares" if stated else name == "cmaes" or len(self.settings.stages) == 1
+        share = 1.0 if last else (_FAST_SHARES if fast or stated else _SHARES)[number]
         limits = replace(self.settings.of_a_run(), time_limit=None)
         if limits.max_evaluations is not None:
             limits = replace(limits, max_evaluations=int(share * limits.max_evaluations))

@@ -100,12 +100,16 @@ def summary(result: FitResult) -> str:
         fit = f"{100 * fitted[s]:.2f} %"
         lines.append(f"{s + 1:>4}  {result.set_runs[s]:>3}  {result.set_seeds[s]:>10}  {fit:>8}  {other:>9}")
     lines += ["", "sets, best first (SI; * ends at a bound)", ""]
-    unsearched = []
+    unsearched: list[str] = []
+    moved: list[str] = []
     for name, row in result.known.items():
         status, head = row.record.status, f"{row.record.symbol} [{row.record.unit}]"
         if status in ("measured", "fixed"):
             value = row.values[0] if len(fitted) else np.nan
             unsearched.append(f"{head:<22}{value:>16.5g}   {name} ({status})")
+        elif status == "stated":
+            value = row.values[0] if len(fitted) else np.nan
+            moved.append(f"{head:<22}{value:>16.5g}   {name} ({row.record.source})")
         elif status in ("free", "derived"):
             cells = "".join(
                 f"{value:>16.5g}{'*' if bound else ' '}" if row.instead is None else f"{row.instead:>16} "
@@ -115,6 +119,7 @@ def summary(result: FitResult) -> str:
                 f": 95 % {row.judged.interval}, {row.judged.verdict.replace('_', ' ')}" if row.judged else ""
             )
             lines.append(f"{head:<22}{cells}  {name}{' (derived)' if status == 'derived' else ''}{worth}")
+    lines += ["", "fitted within their stated errors (SI, best set)", "", *moved] if moved else []
     lines += ["", "not searched (SI)", "", *unsearched]
     lines += ["", "NRMSE of the best set by trial and channel [%]", ""]
     width = max([len(trial.name) for trial in result.trials], default=0)

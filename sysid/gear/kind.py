@@ -57,8 +57,10 @@ def _begin(problem: GearProblem) -> None:
     """Tell what is fitted and what is not used, and compile the kernel."""
     notice_defaults(problem)
     count = len(problem.fitted.drops)
-    validated, free = len(problem.drops) - count, len(problem.space.free)
+    validated, free = len(problem.drops) - count, len(problem.space.found)
     tell(f"{count} drops to fit, {validated} to validate; {free} free parameters")
+    if problem.space.stated:
+        tell(f"fitted within their errors as well: {', '.join(problem.space.stated)}")
     prepare_kernel(problem.campaign.surface.law)
 
 

@@ -367,28 +367,36 @@ def simulate_population(
     tolerance: float | None = None,
     threads: int | None = None,
     body_states: ArrayLike | None = None,
+    slopes: ArrayLike | None = None,
     ending: Ending = TO_THE_CLOCK,
 ) -> PopulationSamples:
     """Simulate candidates, rows (P, n_par) [SI] as from `pack`, on every drop; by default on all cores.
 
     The numbers do not depend on the number of threads nor on the candidates' order. A candidate that is lost
     ends with a status; nothing is raised. Samples later than an early end are NaN. Arguments as for
-    `simulate`, but the default tolerance is always what a fit needs; `body_states` (P, D, 6) are starts of
-    every candidate and drop, instead of one per drop.
+    `simulate`, but the default tolerance is always what a fit needs; `body_states` (P, D, 6) and `slopes`
+    (P, D) are starts and surfaces of every candidate and drop, instead of one per drop.
     """
     rows = np.atleast_2d(np.asarray(parameters, dtype=np.float64))
-    bodies = drops.body_state[None]
-    if body_states is not None:
-        bodies = np.ascontiguousarray(body_states, dtype=np.float64).view()
-        # Locked like the starts in `Drops`: numba compiles a second driver for an array that is not.
-        bodies.flags.writeable = False
-        if bodies.shape != (len(rows), len(drops.slope), 6):
+    given = []
+    for name, per_drop, stated in (
+        ("body_states", drops.body_state, body_states),
+        ("slopes", drops.slope, slopes),
+    ):
+        array = np.ascontiguousarray(per_drop[None] if stated is None else stated, dtype=np.float64).view()
+        # Locked like the arrays in `Drops`: numba compiles a second driver for one that is not.
+        array.flags.writeable = False
+        if stated is not None and array.shape != (len(rows), *per_drop.shape):
             raise CampaignError(
-                f"body_states: found {bodies.shape}, expected ({len(rows)}, {len(drops.slope)}, 6); give one "
-                "start per candidate and drop"
+                f"{name}: found {array.shape}, expected {(len(rows), *per_drop.shape)}; give one per "
+                "candidate and drop"
             )
-    law, start = find_surface(surface), (bodies, np.empty(0))
-    return _run(rows, drops, start, law, tolerance, columns=6, threads=threads, ending=ending)
+        given.append(array)
+    bodies, angles = given
+    return _run(
+        rows, drops, (bodies, np.empty(0)), find_surface(surface), tolerance,
+        columns=6, threads=threads, ending=ending, slopes=angles,
+    )  # fmt: skip
 
 
 def prepare(surface: str | Surface = "lf") -> None:
@@ -420,8 +428,13 @@ def _run(
     threads: int | None,
     ending: Ending = TO_THE_CLOCK,
     room: int = 0,
+    slopes: FloatArray | None = None,
 ) -> PopulationSamples:
-    """Simulate from the body's start (P or 1, D, 6) in frame N and the legs' (8,), empty for legs at rest."""
+    """Simulate from the body's start (P or 1, D, 6) in frame N and the legs' (8,), empty for legs at rest.
+
+    `slopes` (P or 1, D) are by default those of the drops.
+    """
+    slopes = drops.slope[None] if slopes is None else slopes
     if rows.ndim != 2 or rows.shape[1] != len(PARAMETERS):
         raise CampaignError(
             f"parameters: found rows of {rows.shape[-1]}, expected {len(PARAMETERS)}; build them with pack()"
@@ -454,7 +467,7 @@ def _run(
         jobs = np.ascontiguousarray(deck[share::shares])
         if len(jobs):
             drive(
-                kernel_rows, drops.slope, *start, drops.clock, drops.offset, drops.segments, drops.plans,
+                kernel_rows, slopes, *start, drops.clock, drops.offset, drops.segments, drops.plans,
                 jobs, tolerance, _LONGEST_STEP, cost, ending.packed, samples, reached, status, spent,
                 switches, moments, states, marks,
             )  # fmt: skip

@@ -45,6 +45,7 @@ from sysid.gear.starts import (
     start_roots,
     with_nuisance,
 )
+from sysid.gear.stated import Moved, with_stated
 from sysid.journal import Finding
 from sysid.parameters import SearchSpace
 from sysid.trust.linearized import noise_model
@@ -98,7 +99,7 @@ def gear_space(campaign: GearCampaign) -> SearchSpace:
                 f"parameters.free: nothing in a drop on surface.law {law!r} depends on {name}; remove it "
                 "from the list"
             )
-    return with_nuisance(space, campaign)
+    return with_stated(with_nuisance(space, campaign), campaign)
 
 
 def read_by_laws() -> set[str]:
@@ -256,8 +257,13 @@ class GearProblem(Problem):
         shift = offsets(self.space.table, rows, self.drops)
         if body_states is None and shift is not None:
             body_states = shifted_starts(self.drops, *shift)
+        moved, slopes = Moved.of(self.space.table, rows, self.drops), None
+        if moved is not None:
+            if body_states is None:
+                body_states = np.repeat(self.jobs.body_state[None], len(rows), axis=0)
+            body_states, slopes = moved.starts(body_states), moved.slopes
         result = simulate_population(
-            rows[:, : len(PARAMETERS)], self.jobs, body_states=body_states, **self.simulation
+            rows[:, : len(PARAMETERS)], self.jobs, body_states=body_states, slopes=slopes, **self.simulation
         )
         first, ends = self.cost.offsets, self.jobs.offset
         samples = np.empty((len(rows), self.cost.n_total, 6))
@@ -267,6 +273,8 @@ class GearProblem(Problem):
             samples[:, first[d] : first[d] + lead, :3] = before
             samples[:, first[d] : first[d] + lead, 3:] = np.nan
             samples[:, first[d] + lead : first[d + 1]] = result.samples[:, ends[d] : ends[d + 1]]
+            if moved is not None:
+                moved.as_captured(samples[:, first[d] + lead : first[d + 1]], d)
             if shift is not None:
                 samples[:, first[d] + lead : first[d + 1], 1] += shift[0][:, d, None]
         return samples, result

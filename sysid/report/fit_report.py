@@ -68,7 +68,7 @@ from sysid.report.html import (
 from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_table
 from sysid.report.plots import Panel, View, figure_of, interactive
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
-from sysid.report.trust_tables import narrow_table, validation_table
+from sysid.report.trust_tables import narrow_table, stated_table, validation_table
 from sysid.trust import documents
 from sysid.trust.documents import (
     CrossValidationDocument,
@@ -344,6 +344,8 @@ class FitReport:
         if self.trust is None:
             out += self.missing("intervals and verdicts", "sysid trust")
         else:
+            if (stated := stated_table(self.trust)) is not None:
+                out += markup_table(stated)
             out += unfoldable("Narrower intervals", markup_table(narrow_table(self.trust)), printed=False)
         tables = markup_table(mean_sigma_table(sets, unfixed=opened))
         out += unfoldable("Mean and spread of the runs (Tables I and II)", tables, printed=False)

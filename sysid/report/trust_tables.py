@@ -39,6 +39,7 @@ from sysid.trust.documents import (
     LeftOutTrial,
     Partner,
     SpreadOfTrial,
+    StatedValue,
     TrustDocument,
     ValidatedTrial,
     ValidationDocument,
@@ -108,6 +109,28 @@ def interval_table(document: TrustDocument) -> Table:
             else None,
         ),
         "; ".join(notes),
+    )
+
+
+def stated_table(document: TrustDocument) -> Table | None:
+    """Return the values that the campaign states with errors, as stated and as fitted."""
+    if not document.stated:
+        return None
+
+    def shown(row: StatedValue, value: float, error: float) -> str:
+        factor = math.degrees(1.0) if row.unit == "rad" else 1.0
+        return mean_sigma((factor * value, factor * error))
+
+    return table(
+        "what the campaign states, and what the fit made of it",
+        document.stated,
+        (
+            words("value", lambda row: name_and_unit(row.name, "deg" if row.unit == "rad" else row.unit)),
+            numbers("stated ± error", lambda row: shown(row, row.stated, row.error)),
+            numbers("fitted ± error", lambda row: shown(row, row.fitted, row.sigma)),
+            words("errors apart", lambda r: Cell(f"{r.pull:+.1f}", "bad" if r.contradicted else "")),
+        ),
+        "errors are one standard deviation; places are relative to the stated ones",
     )
 
 
@@ -367,8 +390,9 @@ def print_trust(document: TrustDocument, folder: Path, json: bool, *, long: bool
     folder = fit_folder(folder)
     print_lines([f"{folder.name}:"])
     wide = [narrow_table(document), spread_table(document)] if long else []
-    for part in (interval_table(document), *wide, noise_table(document)):
-        print_table(part)
+    for part in (interval_table(document), stated_table(document), *wide, noise_table(document)):
+        if part is not None:
+            print_table(part)
     scores = ", ".join(f"{trial.name} {trial.ratio:.2f}" for trial in document.trials)
     print_lines(
         [f"residual over noise by trial, with errors of the measured inputs: {scores}", *document.notes]

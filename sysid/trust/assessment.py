@@ -76,7 +76,7 @@ def linearize(problem: Problem, start: FloatArray) -> Linearized:
 def _linearized(problem: Problem, point: FloatArray) -> Linearized:
     blocks, residuals = problem.blocks, problem.residuals(point[None])[0][0]
     levels = nrmse_of(blocks, residuals)
-    scale = scales(blocks, levels, len(residuals))
+    scale = scales(problem, blocks, levels)
     # One standard deviation of a sum of squares is about a sample's share of it.
     sample = float(np.sqrt(np.sum((residuals * scale) ** 2) / sum(block.count for block in blocks)))
     changes = problem.disturbances(point)
@@ -113,6 +113,7 @@ def refit(
     def walked(starts: FloatArray, weights: FloatArray, iterations: int) -> Solved:
         return solve(
             problem, starts, linear.scale, linear.jacobian.steps, tolerance=tolerance, iterations=iterations,
+            kept=linear.kept(problem.space),
             weights=lambda part: trial_rows(problem.blocks, weights[part], len(linear.scale)),
         )  # fmt: skip
 
@@ -143,7 +144,7 @@ class Assessment:
 
     @property
     def verdicts(self) -> tuple[str, ...]:
-        """The verdict on every free parameter.
+        """The verdict on every parameter that the search has found.
 
         Where noise does not explain the trials, no parameter is well known. One that a bound cuts is not
         interpretable then, nor is one that trades with it: the bound shifts it as well.
@@ -182,7 +183,7 @@ def assess(
     tell = say or (lambda sentence: None)
     tell("derivatives at the best set")
     judged, noise, linear, without = _judged(problem, start)
-    tell(f"profiles of {len(start)} parameters")
+    tell(f"profiles of {len(problem.space.found)} parameters")
     walked = walk_profiles(problem, linear, seed)
     if walked.lowered > 1.0:
         # A profile has found a better place, from which everything is judged.

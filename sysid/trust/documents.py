@@ -84,6 +84,28 @@ class FreeParameter(Judged):
     rough_points: int
 
 
+class StatedValue(Part):
+    """A value that the campaign states with an error, and what the fit made of it [its unit]."""
+
+    name: str
+    symbol: str
+    unit: str
+    # Of the campaign, with one standard error.
+    stated: float
+    error: float
+    # In the best set, what the trials and the statement leave open of it, and its distance from the stated
+    # value [standard errors].
+    fitted: float
+    sigma: float
+    pull: float
+    # Fall of the deviance were the value not stated [1], and the value that the trials ask for then.
+    gain: float
+    asked: float
+    # Whether no chance explains that fall, and the values that would explain the trials as well.
+    contradicted: bool
+    partners: list[str]
+
+
 class ChannelNoise(Part):
     """Rms of the residuals and of the measurement's noise [unit], over all trials; NaN where not known."""
 
@@ -249,6 +271,7 @@ class TrustDocument(TrustPart):
     part: str = TRUST
     adequacy: Adequacy | None = None
     parameters: list[FreeParameter]
+    stated: list[StatedValue] = Field(default_factory=list)
     correlation: list[list[float]]
     noise: Noise
     trials: list[TrialInfluence]

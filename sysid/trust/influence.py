@@ -89,6 +89,8 @@ def influence(problem: Problem, linear: Linearized, floors: FloatArray, refits: 
         expected = np.maximum(variance - np.diag(linear.information.covariance), _LEAST * variance)
         shift[t] = (refits.points[t] - linear.point) / np.sqrt(np.maximum(expected, 1e-24))
     shift *= linear.half_widths < WEAKLY
+    # What the campaign states hangs on no trial alone.
+    shift[:, len(problem.space.found) :] = 0.0
     usable = np.isfinite(refits.squares)[:, None]
     return Influence(
         ratio, np.where(usable, refits.points, np.nan), np.where(usable, shift, 0.0), refits.evaluations

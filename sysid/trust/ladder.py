@@ -140,7 +140,8 @@ class Climber:
             problem = freed(self._problem, (term,))
             point = starting_point(self._problem, problem, base.values)
             starts = np.repeat(point[None], len(_STARTS), axis=0)
-            new = slice(len(self._start), None)
+            first = len(self._problem.space.found)
+            new = slice(first, first + len(problem.space.free) - len(self._start))
             starts[:, new] = np.clip(starts[:, new] + np.array(_STARTS)[:, None], 0.0, 1.0)
             alone.append(self._left_out(self._fitted((term,), problem, starts)))
         alone = _judged(alone, base)
@@ -233,14 +234,16 @@ class Climber:
         count = len(names)
         left = piece == np.arange(count)[:, None]
         residuals = problem.residuals(point[None])[0][0]
-        scale = scales(blocks, nrmse_of(blocks, residuals), len(residuals)) / np.sqrt(rung.nrmse)
+        scale = scales(problem, blocks, nrmse_of(blocks, residuals)) / np.sqrt(rung.nrmse)
+        # What the campaign states is left out with no trial.
+        weights_of = np.pad(1.0 - left, ((0, 0), (0, len(residuals) - left.shape[1])), constant_values=1.0)
         solved = solve(
             problem, np.repeat(point[None], count, axis=0), scale,
-            weights=lambda part: 1.0 - left[part],
+            weights=lambda part: weights_of[part],
             tolerance=TOLERANCE, iterations=_ITERATIONS_WITHOUT,
         )  # fmt: skip
         self.evaluations += solved.evaluations + count
-        squares = problem.residuals(solved.points)[0] ** 2 * left
+        squares = problem.residuals(solved.points)[0][:, : left.shape[1]] ** 2 * left
         starts = [block.start for block in blocks]
         valid = np.concatenate([problem.trials[b.trial].valid[:, b.channel] for b in blocks])
         counts = np.add.reduceat(left * valid, starts, axis=1)

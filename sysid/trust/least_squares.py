@@ -41,6 +41,7 @@ def solve(
     steps: FloatArray | None = None,
     *,
     fixed: BoolArray | None = None,
+    kept: FloatArray | None = None,
     weights: Callable[[slice], FloatArray] | None = None,
     tolerance: float = 1e-3,
     iterations: int = 12,
@@ -48,9 +49,9 @@ def solve(
     """Minimize the sum of squares of residuals times `scale` (m,) from `starts` (F, n) [unit cube].
 
     `steps` (n,) are those of the difference Jacobian [unit cube], by default from the curvature of a sum of
-    squares near 1. Coordinates that are `fixed` (F, n) keep their value. `weights` returns, for a slice of
-    the fronts, further factors (F', m) on the squares of residuals. A front has converged when a step takes
-    less than the `tolerance` off its sum of squares.
+    squares near 1. Coordinates that are `fixed` (F, n) keep their value; `kept` as for `descend`.
+    `weights` returns, for a slice of the fronts, further factors (F', m) on the squares of residuals. A front
+    has converged when a step takes less than the `tolerance` off its sum of squares.
     """
     n_fronts, n = starts.shape
     if fixed is None:
@@ -61,7 +62,7 @@ def solve(
         part = slice(first, min(first + share, n_fronts))
         factor = np.ones((part.stop - part.start, 1)) if weights is None else weights(part)
         walk = descend(
-            ended.part(part), _Squares(np.sqrt(factor) * scale), steps=steps, fixed=fixed[part],
+            ended.part(part), _Squares(np.sqrt(factor) * scale), steps=steps, fixed=fixed[part], kept=kept,
             tolerance=tolerance, iterations=iterations,
         )  # fmt: skip
         evaluations += drive(walk, problem.residuals)

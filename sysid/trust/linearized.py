@@ -72,9 +72,9 @@ class Information:
         return self.covariance / np.outer(sigma, sigma)
 
     def partners(self, names: Sequence[str]) -> list[list[Partner]]:
-        """Return the parameters with which each one trades, the strongest first."""
-        out = []
-        for i, row in enumerate(self.correlation.tolist()):
+        """Return with which of the first parameters, by name, each of them trades, the strongest first."""
+        out, count = [], len(names)
+        for i, row in enumerate(self.correlation[:count, :count].tolist()):
             strong = [(name, rho) for j, (name, rho) in enumerate(zip(names, row, strict=True))
                       if j != i and abs(rho) >= PARTNER]  # fmt: skip
             strong.sort(key=lambda pair: -abs(pair[1]))
@@ -93,6 +93,12 @@ class Linearized:
     noise: NoiseModel
     information: Information
     half_widths: FloatArray  # (n,) relative, 95 % [1]
+
+    def kept(self, space: SearchSpace) -> FloatArray | None:
+        """Return the derivatives (S, m) of the residuals by the stated values, which hardly bend."""
+        count = len(space.stated)
+        scale = np.where(self.scale > 0, self.scale, 1.0)
+        return (self.jacobian.values[:, -count:].T / scale) if count else None
 
     @property
     def tolerance(self) -> float:

@@ -38,17 +38,24 @@ _SHARE = 2.0
 TRUSTED = 0.1
 
 
-def scales(blocks: Sequence[Block], levels: FloatArray, size: int) -> FloatArray:
-    """Return what turns residuals r (m,) into rho, for blocks at NRMSE `levels` (B,) [1]."""
-    out = np.zeros(size)
+def scales(problem: Problem, blocks: Sequence[Block], levels: FloatArray) -> FloatArray:
+    """Return what turns residuals r (m,) into rho, for blocks at NRMSE `levels` (B,) [1].
+
+    With N independent samples a distance of one standard error from a stated value weighs as much as one.
+    """
+    stop = blocks[-1].stop
+    out = np.zeros(stop + len(problem.space.stated))
+    if problem.space.stated:
+        weights = np.array([block.weight for block in blocks])
+        out[stop:] = np.sqrt(weights @ np.maximum(levels, LEAST_NRMSE) / problem.independent)
     for block, level in zip(blocks, levels, strict=True):
         out[block.start : block.stop] = np.sqrt(block.weight / (block.count * max(level, LEAST_NRMSE)))
     return out
 
 
 def trial_rows(blocks: Sequence[Block], weights: FloatArray, size: int) -> FloatArray:
-    """Spread weights of trials (..., T) [1] over the residuals (..., m)."""
-    out = np.zeros((*weights.shape[:-1], size))
+    """Spread weights of trials (..., T) [1] over the residuals (..., m); stated values have weight 1."""
+    out = np.ones((*weights.shape[:-1], size))
     for block in blocks:
         out[..., block.start : block.stop] = weights[..., block.trial, None]
     return out

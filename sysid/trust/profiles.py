@@ -89,14 +89,14 @@ class _Side:
 
 
 def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profiles:
-    """Walk every free parameter from the minimum outward; `seed` is for CMA-ES where the cost is rough."""
+    """Walk every parameter of which nothing is stated outward; `seed` is for CMA-ES where costs are rough."""
     best, scale, steps, info = linear.point, linear.scale, linear.jacobian.steps, linear.information
-    n = len(best)
+    n, found, kept = len(best), len(problem.space.found), linear.kept(problem.space)
     values, _ = problem.residuals(best[None])
     lowest = float(np.sum((values[0] * scale) ** 2))
     sides = [
         _Side(i, sign, [best], [lowest], list(_AIMS), done=bool(best[i] == bound))
-        for i in range(n)
+        for i in range(found)
         for sign, bound in ((-1.0, 0.0), (1.0, 1.0))
     ]
     curvature = info.curvature + 1e-12 * np.trace(info.curvature) * np.eye(n)
@@ -115,7 +115,9 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
             rise = (side.squares[-1] - lowest) / info.inflation[side.parameter]
             starts[f] = _next(side, best, unit, tangent, np.sqrt(max(rise, 0.0)))
             fixed[f, side.parameter] = True
-        solved = solve(problem, starts, scale, steps, fixed=fixed, tolerance=linear.tolerance, iterations=6)
+        solved = solve(
+            problem, starts, scale, steps, fixed=fixed, kept=kept, tolerance=linear.tolerance, iterations=6
+        )
         evaluations += solved.evaluations
         for f, side in enumerate(moving):
             i = side.parameter
@@ -142,7 +144,7 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
         lowered = (lowest - least) / float(info.inflation[winner.parameter])
     out = [
         _profile(problem.space, i, sides[2 * i : 2 * i + 2], best, least, float(info.inflation[i]))
-        for i in range(n)
+        for i in range(found)
     ]
     return Profiles(tuple(out), best, lowered, evaluations)
 

@@ -31,7 +31,7 @@ _JUDGED = 6
 def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearized:
     """Return what noise, correlated like `noise`, would leave open at a point (n_free,) of the unit cube."""
     floor = np.array([block.noise for block in problem.blocks])
-    scale = scales(problem.blocks, floor, problem.blocks[-1].stop)
+    scale = scales(problem, problem.blocks, floor)
     weight = sum(block.weight * block.noise for block in problem.blocks)
     sample = float(np.sqrt(weight / sum(block.count for block in problem.blocks)))
     return linearized(problem, point, floor, scale, sample, noise, problem.disturbances(point))
@@ -67,7 +67,7 @@ def expectations(
             half_width_over_bounds=elsewhere[i], partners=partners[i],
             verdict=verdict(larger(float(view.half_widths[i]), float(elsewhere[i]))),
         )
-        for i, row in enumerate(problem.space.free)
+        for i, row in enumerate(problem.space.found)
     )  # fmt: skip
 
 
@@ -84,13 +84,14 @@ def quick_expectations(problem: Problem) -> tuple[Expected, ...]:
 
 
 def information_by_channel(problem: Problem, view: Linearized) -> FloatArray:
-    """Return which share of what is known about each parameter comes from each channel (n, C) [1].
+    """Return which share of what is known about each found parameter comes from each channel (n, C) [1].
 
     From the curvature of the weighted sum of squares along the parameter.
     """
-    out = np.zeros((len(view.point), len(problem.channels)))
+    found = len(problem.space.found)
+    out = np.zeros((found, len(problem.channels)))
     for block in problem.blocks:
-        part = view.jacobian.values[block.start : block.stop]
+        part = view.jacobian.values[block.start : block.stop, :found]
         out[:, block.channel] += np.sum(part**2, axis=0)
     return out / np.maximum(out.sum(axis=1, keepdims=True), 1e-300)
 
@@ -112,7 +113,9 @@ def rank_candidates(
     widths = _with_each(problem, view, others)
     if widths is None:
         return []
-    gains = np.log(np.maximum(view.half_widths, 1e-12) / np.maximum(widths, 1e-12))[:, weak].sum(axis=1)
+    found = [row.name for row in problem.space.found]
+    widths, known = widths[:, : len(found)], view.half_widths[: len(found)]
+    gains = np.log(np.maximum(known, 1e-12) / np.maximum(widths, 1e-12))[:, weak].sum(axis=1)
     order = np.argsort(-gains, kind="stable")
     elsewhere = np.full(widths.shape, np.nan)
     if drawn:
@@ -123,9 +126,9 @@ def rank_candidates(
         every = (_with_each(problem, other, few) for other in drawn)
         filled = [np.tile(o.half_widths, (len(best), 1)) if e is None else e
                   for o, e in zip(drawn, every, strict=True)]  # fmt: skip
-        elsewhere[sorted(best)] = np.median(filled, axis=0)
-    by_name = [dict(zip(problem.space.names, row, strict=True)) for row in widths.tolist()]
-    over_bounds = [dict(zip(problem.space.names, row, strict=True)) for row in elsewhere.tolist()]
+        elsewhere[sorted(best)] = np.median(filled, axis=0)[:, : len(found)]
+    by_name = [dict(zip(found, row, strict=True)) for row in widths.tolist()]
+    over_bounds = [dict(zip(found, row, strict=True)) for row in elsewhere.tolist()]
     return [
         CandidateRecording(
             title=titles[t], gain=gains[t], half_widths=by_name[t], half_widths_over_bounds=over_bounds[t],
@@ -149,7 +152,7 @@ def _with_each(problem: Problem, view: Linearized, others: Problem) -> FloatArra
     # Weighted as a trial of the campaign.
     count, common = len(others.trials), problem.common
     blocks = [replace(b, weight=b.weight * count / len(problem.trials)) for b in others.blocks]
-    scale = scales(blocks, levels, blocks[-1].stop)
+    scale = scales(others, blocks, levels)
     weight = sum(block.weight * max(block.noise, 1e-9) for block in others.blocks)
     sample = float(np.sqrt(weight / sum(block.count for block in others.blocks)))
     derived = jacobian(others, view.point, scale, sample).values

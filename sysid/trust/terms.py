@@ -12,7 +12,6 @@ from sysid.fit.least_squares import Fronts, MeanNrmse, descend, drive
 from sysid.fit.problem import Problem
 from sysid.fit.search import run_one
 from sysid.fit.settings import SearchSettings
-from sysid.parameters import SearchSpace
 from sysid.types import FloatArray
 
 TOLERANCE, _ITERATIONS = 1e-4, 15
@@ -22,9 +21,8 @@ def freed(problem: Problem, terms: Sequence[Term]) -> Problem:
     """Return a problem in which the parameters of terms are free as well, behind its own."""
     space = problem.space
     names = [name for term in terms for name in term.parameters]
-    extra = tuple(space.table[name] for name in names if name not in space.names)
-    fixed = {name: value for name, value in space.fixed.items() if name not in names}
-    return replace(problem, space=SearchSpace(space.table, (*space.free, *extra), fixed))  # type: ignore[type-var]
+    rows = [space.table[name] for name in names if name not in space.names]
+    return replace(problem, space=space.freeing(rows))  # type: ignore[type-var]
 
 
 def starting_point(problem: Problem, wider: Problem, values: Mapping[str, float]) -> FloatArray:

@@ -82,7 +82,8 @@ def _verdicts(
     shares = information_by_channel(problem, view)
     lines = list(sentences(expected))
     # Derivatives that depend on the step make a verdict a guess.
-    rough = [name for name, good in zip(problem.space.names, view.jacobian.trusted, strict=True) if not good]
+    trusted = zip(problem.space.found, view.jacobian.trusted, strict=False)
+    rough = [row.name for row, good in trusted if not good]
     if rough:
         lines.append(f"derivatives of {', '.join(rough)} change with the step: their verdicts are rough")
     for row in expected:

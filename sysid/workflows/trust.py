@@ -34,6 +34,7 @@ from sysid.trust.documents import (
 )
 from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
+from sysid.trust.stated import contradictions, stated_values
 from sysid.trust.terms import freed
 from sysid.types import FloatArray
 from sysid.workflows.options import TrustOptions
@@ -103,9 +104,12 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         # The sentence of the fit stays: its numbers are of the best set.
         same = said.get(finding.code) if not finding.trials else None
         journal.add(replace(finding, sentence=same or finding.sentence))
+    stated = stated_values(space, assessed.noise)
+    for finding in contradictions(stated, space):
+        journal.add(finding)
     for row in rows if lacks else ():
         doubts[row.name].append("the model does not explain the trials")
-    for finding in _doubtful(space.free, rows, doubts, assessed, opened.result.cube[0]):
+    for finding in _doubtful(space.found, rows, doubts, assessed, opened.result.cube[0]):
         journal.add(finding)
     known, given = opened.kind.story.known_words, opened.kind.story(opened.problem).given()
     statement = _STATEMENT + (f" ({known})" if known else "")
@@ -120,7 +124,8 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         adequacy=judged,
         campaign=opened.stated,
         parameters=[_with_doubts(row, doubts[row.name]) for row in rows],
-        correlation=linear.information.correlation.tolist(),
+        stated=stated,
+        correlation=linear.information.correlation[: len(rows), : len(rows)].tolist(),
         noise=Noise(statement=statement, channels=_channels(opened, assessed, floors)),
         trials=[
             TrialInfluence(
@@ -151,7 +156,7 @@ def _doubtful(
     """Yield rough derivatives, and that the best set (n,) is not the minimum, which the rows then doubt."""
     linear = assessed.linear
     moves = np.abs(linear.point - best) / np.maximum(linear.information.sigma, 1e-12)
-    for parameter, row, jump in zip(free, rows, moves, strict=True):
+    for parameter, row, jump in zip(free, rows, moves, strict=False):
         name, rough = in_words(parameter, of_trial=False), row.derivative_doubt
         # A parameter that is not identifiable has a verdict that says more.
         if not (row.derivative_trusted or row.lost):
@@ -274,7 +279,7 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
     if assessed.resampled is not None:
         boot = space.decode(assessed.resampled.points[np.isfinite(assessed.resampled.squares)])
     out = []
-    judged = zip(space.free, assessed.profiles.profiles, assessed.verdicts, strict=True)
+    judged = zip(space.found, assessed.profiles.profiles, assessed.verdicts, strict=True)
     for i, (row, profile, word) in enumerate(judged):
         column = index[row.name]
         measured = result.parameters[column].measured_range

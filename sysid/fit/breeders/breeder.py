@@ -63,3 +63,33 @@ class Breeder(Protocol):
     def start(self) -> Start:
         """Return where a finisher begins."""
         return Start.of_population(self.population()[0])
+
+
+class Keeping(Breeder):
+    """A breeder whose candidates end with values (S,) [unit cube] that it keeps."""
+
+    def __init__(self, bred: Breeder, kept: FloatArray) -> None:
+        self._bred, self._kept = bred, kept
+        self.needs_residuals = bred.needs_residuals
+
+    def _with_kept(self, cube: FloatArray) -> FloatArray:
+        return np.column_stack([cube, np.tile(self._kept, (len(cube), 1))])
+
+    def ask(self) -> FloatArray | None:
+        asked = self._bred.ask()
+        return None if asked is None else self._with_kept(asked)
+
+    def tell(self, cost: FloatArray, residuals: FloatArray | None = None) -> None:
+        self._bred.tell(cost, residuals)
+
+    def population(self) -> tuple[FloatArray, FloatArray]:
+        cube, cost = self._bred.population()
+        return self._with_kept(cube), cost
+
+    @property
+    def ended(self) -> StopReason:
+        return self._bred.ended
+
+    def start(self) -> Start:
+        start, none = self._bred.start(), np.zeros_like(self._kept)
+        return Start(np.append(start.mean, self._kept), np.append(start.spread, none), start.axes)

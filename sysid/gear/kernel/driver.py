@@ -143,7 +143,7 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
         ----------
         parameters : (P, n)
             Rows of `sysid.gear.kernel.parameter_row`.
-        slope, body : (D,) and (P or 1, D, 6)
+        slope, body : (P or 1, D) and (P or 1, D, 6)
             Angle of each surface; x, z, q and rates at each drop's first sample, frame N [m, rad, s].
         legs : (8,) or (0,)
             h_C q_C h_D q_D and rates at the start, empty for legs at rest.
@@ -174,7 +174,7 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
         ends_at, rest_speed, rest_turn, rest_time, flip_angle = ending
         ends = ends_at > 0.0
         logs = 1.0 if len(marks) > 0 else 0.0
-        drops = len(slope)
+        drops = slope.shape[1]
         work = np.ones(at.ROWS * lanes)
         job = np.full(lanes, -1, np.int64)
         cursor = np.zeros(lanes, np.int64)

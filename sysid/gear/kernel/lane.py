@@ -97,10 +97,11 @@ def begin(parameters, slope, body, legs, work, lane, lanes):
 @njit(error_model="numpy")
 def load(number, parameters, slope, body, legs, segments, plans, segment, origin, work, lane, lanes):
     """Load the start of job number candidate * drops + drop, and the thrust of that drop, into a lane."""
-    candidate = number // len(slope)
-    drop = number % len(slope)
+    candidate = number // slope.shape[1]
+    drop = number % slope.shape[1]
     start = body[candidate if len(body) > 1 else 0, drop]
-    begin(parameters[candidate], slope[drop], start, legs, work, lane, lanes)
+    angle = slope[candidate if len(slope) > 1 else 0, drop]
+    begin(parameters[candidate], angle, start, legs, work, lane, lanes)
     segment[lane] = np.int64(plans[drop, at.PLAN_FIRST])
     origin[lane] = plans[drop, at.PLAN_START]
     until = np.inf if plans[drop, at.PLAN_WAITS] > 0.0 else origin[lane]

@@ -87,7 +87,7 @@ class Linear:
 
     def scaled(self, level=0.1):
         """The weights of the residuals where every block scores `level`."""
-        return scales(self.blocks, np.full(len(self.blocks), level), self.blocks[-1].stop)
+        return scales(self, self.blocks, np.full(len(self.blocks), level))
 
 
 def _white(n_trials=3, n=200, n_par=2, seed=1, sigma=0.1, true=1.0, kernel=(1.0,)):
@@ -275,7 +275,7 @@ def test_the_weights_make_the_gradient_that_of_the_mean_nrmse():
     point = np.array([0.45, 0.62])
     values, _ = problem.residuals(point[None])
     levels = nrmse_of(problem.blocks, values[0])
-    scale = scales(problem.blocks, levels, values.shape[1])
+    scale = scales(problem, problem.blocks, levels)
     step = 1e-6
     for i in range(2):
         moved = np.tile(point, (2, 1))

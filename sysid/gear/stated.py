@@ -1,0 +1,153 @@
+"""What a lab measures around a drop: values that its campaign states with an error, and which a fit moves.
+
+Besides masses, lengths and friction, which are rows of the model's table, these are the slope of each drop,
+the body's centre of mass and the place of the surface. The log is prepared once, with the values as stated. A
+candidate with other values is simulated from where they put the body at the start, and its signals are
+brought back to where the capture would have seen them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from sysid.campaign import GearCampaign
+from sysid.campaign.gear import Point
+from sysid.gear.drops import PreparedDrop
+from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from sysid.stated import Stated, error_of
+from sysid.trials.capture import CaptureFrame
+from sysid.types import FloatArray
+
+
+def _captured(name: str, symbol: str, unit: str, meaning: str) -> Parameter:
+    return Parameter(name, symbol, unit, 0.0, -1.0, 1.0, "linear", meaning, "campaign", "capture")
+
+
+SLOPE = _captured("slope", "α", "rad", "Angle of the surface.")
+CENTRE = (
+    _captured("centre_of_mass_dx", "δx_c", "m", "Centre of mass in front of its stated place, down-slope."),
+    _captured("centre_of_mass_dz", "δz_c", "m", "Centre of mass above its stated place."),
+)
+SURFACE = (
+    _captured("surface_dx", "δx_s", "m", "Surface's point beyond its stated place, down-slope."),
+    _captured("surface_dz", "δz_s", "m", "Surface's point above its stated place."),
+)
+# Names of these rows without the drop.
+CAPTURED = tuple(row.name for row in (SLOPE, *CENTRE, *SURFACE))
+
+
+def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
+    """Return a space in which what the campaign states with an error moves, with a row for each.
+
+    What is free or fixed by `[parameters]` is not stated twice; a typical error that is merely assumed moves
+    nothing.
+    """
+    stated, rows = {}, []
+    for table in (campaign.vehicle, campaign.surface):
+        for name in type(table).model_fields:
+            if name in space.fixed and name not in campaign.parameters.fixed:
+                stated[name] = getattr(table, name)
+    fixed = campaign.parameters.fixed_values(space.table)
+    stated |= {name: value for name, value in fixed.items() if name in space.fixed}
+    for row, value in _of_the_capture(campaign):
+        rows.append(row)
+        stated[row.name] = value
+    stated = {name: value for name, value in stated.items() if _moves(value)}
+    rows = [row for row in rows if row.name in stated]
+    return space.with_stated(stated, rows) if stated else space
+
+
+def _moves(value: float | None) -> bool:
+    return isinstance(value, Stated) and value.error > 0 and not value.assumed
+
+
+def _of_the_capture(campaign: GearCampaign) -> Iterator[tuple[Parameter, Stated]]:
+    """Yield the rows of slopes, centre of mass and surface, and what is stated of each [SI]."""
+    fitted = [trial for trial in campaign.trials if trial.use == "fit"]
+    for trial in fitted:
+        if trial.slope is not None:
+            yield (
+                replace(SLOPE.of_trial(trial.name), nominal=float(trial.slope)),
+                _with_error(trial.slope, of=trial.slope),
+            )
+    directions = {trial.down_slope or campaign.capture.down_slope for trial in fitted}
+    # Bodies that were turned between the drops show their centre of mass along other axes.
+    if len(directions) == 1:
+        frame = CaptureFrame(campaign.capture.up, *directions)
+        yield from zip(CENTRE, _in_plane(campaign.capture.centre_of_mass_offset, frame), strict=True)
+        if campaign.surface.point is not None and any(trial.point is None for trial in fitted):
+            yield from zip(SURFACE, _in_plane(campaign.surface.point, frame), strict=True)
+    for trial in fitted:
+        if trial.point is not None:
+            frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
+            rows = [row.of_trial(trial.name) for row in SURFACE]
+            yield from zip(rows, _in_plane(trial.point, frame), strict=True)
+
+
+def _in_plane(point: Point, frame: CaptureFrame) -> tuple[Stated, Stated]:
+    """Return 0 with the errors of a point in capture axes along x and z of the plane of motion [m]."""
+    along, _, up = (point[int(np.argmax(np.abs(axis)))] for axis in frame.matrix)
+    return _with_error(0.0, of=along), _with_error(0.0, of=up)
+
+
+def _with_error(value: float, of: float) -> Stated:
+    return Stated(value, error_of(of), isinstance(of, Stated) and of.assumed)
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Where P candidates put the surfaces and the body of D drops."""
+
+    # (P, D) [rad].
+    slopes: FloatArray
+    # (P, 2) centre of mass from its stated place, in the body's axes x and z [m].
+    centre: FloatArray
+    # (P, D, 2) surface's point from its stated place, x and z [m].
+    surface: FloatArray
+
+    @classmethod
+    def of(cls, table: ParameterTable, rows: FloatArray, drops: Sequence[PreparedDrop]) -> Self | None:
+        """Return what rows of a table (P, n) [SI] say; None where the table has no such row."""
+        if not any(row.common_name in CAPTURED for row in table.values()):
+            return None
+        count, index = len(rows), table.index
+
+        def column(name: str, default: float) -> FloatArray:
+            return rows[:, index[name]] if name in index else np.full(count, default)
+
+        slopes = np.stack([column(f"slope[{drop.name}]", drop.slope) for drop in drops], axis=1)
+        centre = np.stack([column(row.name, 0.0) for row in CENTRE], axis=1)
+        common = [column(row.name, 0.0) for row in SURFACE]
+        surface = np.zeros((count, len(drops), 2))
+        for d, drop in enumerate(drops):
+            for k, row in enumerate(SURFACE):
+                own = f"{row.name}[{drop.name}]"
+                surface[:, d, k] = rows[:, index[own]] if own in index else common[k]
+        return cls(slopes, centre, surface)
+
+    def _turned(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the shift of the centre of mass along x and z at pitches (P, ...) [rad]."""
+        x, z = (part.reshape(-1, *[1] * (pitch.ndim - 1)) for part in self.centre.T)
+        return x * np.cos(pitch) + z * np.sin(pitch), z * np.cos(pitch) - x * np.sin(pitch)
+
+    def starts(self, states: FloatArray) -> FloatArray:
+        """Return states (P, D, 6) [SI] of the body's centre over the surface, from what was captured."""
+        out = np.array(states)
+        x, z = self._turned(states[:, :, 2])
+        out[:, :, 0] += x - self.surface[:, :, 0]
+        out[:, :, 1] += z - self.surface[:, :, 1]
+        out[:, :, 3] += states[:, :, 5] * z
+        out[:, :, 4] -= states[:, :, 5] * x
+        return out
+
+    def as_captured(self, samples: FloatArray, drop: int) -> None:
+        """Change simulated samples (P, n, 6) [SI] of a drop to what the capture would have seen."""
+        x, z = self._turned(samples[:, :, 2])
+        samples[:, :, 0] -= x - self.surface[:, drop, None, 0]
+        samples[:, :, 1] -= z - self.surface[:, drop, None, 1]
+        samples[:, :, 3] -= samples[:, :, 5] * z
+        samples[:, :, 4] += samples[:, :, 5] * x

@@ -1,0 +1,159 @@
+"""Values that a gear campaign states with errors: what moves, what that does to drops, what a pull costs."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+from fakes.lab import misstated
+from sysid.campaign import read_campaign
+from sysid.synthetic import DropPlan, synthesize_gear
+from sysid.workflows.kinds import find_kind, open_campaign
+
+DROPS = tuple(DropPlan(math.radians(slope), 0.6) for slope in (10, 20, 30))
+
+
+def opened(path):
+    """The fitted drops of a campaign, as trust simulates them."""
+    return find_kind("gear").open(read_campaign(path, "gear"), path, 1).fitted.exact
+
+
+@pytest.fixture(scope="module")
+def exact(tmp_path_factory):
+    return synthesize_gear(tmp_path_factory.mktemp("lab") / "drops", seed=3, drops=DROPS) / "campaign.toml"
+
+
+@pytest.fixture(scope="module")
+def stated(exact):
+    return opened(misstated(exact, 0, name="stated.toml"))
+
+
+def shifted(exact, name, **gross):
+    """The drops of the campaign with some values stated elsewhere, by standard errors."""
+    return opened(misstated(exact, 0, name=f"{name}.toml", gross=gross, written=False))
+
+
+def row_of(problem, **values):
+    """The row of the true values of the campaign, and of some others."""
+    space = problem.space
+    row = problem.base.copy()
+    for name, value in {**space.stated, **values}.items():
+        row[space.table.index[name]] = value
+    return row[None]
+
+
+def test_what_is_stated_with_an_error_moves(stated, exact):
+    space = stated.space
+    assert [row.name for row in space.found] == [row.name for row in opened(exact).space.free]
+    assert set(space.stated) == {
+        "body_mass", "body_inertia", "foot_dx", "foot_dz", "leg_mass", "leg_inertia", "kinetic_friction",
+        "centre_of_mass_dx", "centre_of_mass_dz", "surface_dx", "surface_dz",
+        *(f"slope[drop-{d}]" for d in (1, 2, 3)),
+    }  # fmt: skip
+    assert space.stated["slope[drop-2]"].error == pytest.approx(math.radians(0.2))
+    assert space.stated["leg_inertia"].error == pytest.approx(2e-5)
+    by_name = {row.name: row for row in space.free}
+    # Twenty standard errors, and no mass below a twentieth of what is stated.
+    assert by_name["foot_dz"].upper == pytest.approx(0.151 + 20e-3)
+    assert by_name["leg_inertia"].lower == pytest.approx(1e-5)
+    assert by_name["slope[drop-1]"].lower == pytest.approx(math.radians(6))
+
+
+def test_the_papers_way_moves_nothing(exact):
+    path = misstated(exact, 0, name="paper.toml")
+    _, campaign, _ = open_campaign(path, "gear", law={"exact": True})
+    assert not find_kind("gear").open(campaign, path, 1).space.stated
+
+
+def test_a_space_keeps_what_is_stated_when_terms_are_freed_and_when_it_travels(stated):
+    space = stated.space
+    wider = space.freeing([space.table["pitch_drag"]])
+    assert [row.name for row in wider.found] == [*(row.name for row in space.found), "pitch_drag"]
+    assert wider.free[len(wider.found) :] == space.free[len(space.found) :]
+    assert "pitch_drag" not in wider.fixed
+    again = pickle.loads(pickle.dumps(wider))
+    assert {name: value.error for name, value in again.stated.items()} == {
+        name: value.error for name, value in space.stated.items()
+    }
+
+
+def test_a_pull_is_a_residual_and_costs_what_it_costs_a_likelihood(stated):
+    space, stop = stated.space, stated.blocks[-1].stop
+    at = np.array([space.table[name].nominal for name in space.names])
+    at[len(space.found) :] = list(space.stated.values())
+    point = space.encode(at)
+    moved = at.copy()
+    moved[space.names.index("slope[drop-3]")] += math.radians(0.5)
+    moved[space.names.index("leg_mass")] -= 2e-3
+    points = np.stack([point, space.encode(moved)])
+    residuals, failed = stated.residuals(points)
+    assert residuals.shape == (2, stop + len(space.stated))
+    assert not failed.any()
+    pulls = dict(zip(space.stated, residuals[1, stop:], strict=True))
+    assert residuals[0, stop:] == pytest.approx(0.0, abs=1e-9)
+    assert pulls.pop("slope[drop-3]") == pytest.approx(2.5)
+    assert pulls.pop("leg_mass") == pytest.approx(-2.0)
+    assert np.abs([*pulls.values()]).max() < 1e-9
+    # N independent samples at noise s: -2 log L = N (rms/s)², whose rise by p² is that of the cost by p²/2N.
+    nrmse = stated.cost.mean(stated.score(space.full(points)).by_channel)
+    found = stated.evaluate(points).cost / nrmse
+    assert found[0] == pytest.approx(1.0, abs=1e-12)
+    assert found[1] == pytest.approx(math.exp((2.5**2 + 2.0**2) / (2 * stated.independent)))
+    samples = sum(block.count for block in stated.blocks)
+    assert samples / 50 < stated.independent < samples
+    # What one standard error does to the residuals, for the interval's covariance.
+    changes = stated.disturbances(point)[: len(space.stated)]
+    assert np.array_equal(changes[:, stop:], np.eye(len(space.stated)))
+    assert not changes[:, :stop].any()
+
+
+def test_a_higher_surface_is_the_surface_stated_higher(stated, exact):
+    # The capture's +y is up, and the plane of motion is its z and y.
+    higher = shifted(exact, "higher", **{"point[1]": 1.0})
+    signals = stated.predict(row_of(stated, surface_dz=1e-3)).signals
+    expected = higher.predict(row_of(higher)).signals
+    for d, (ours, theirs) in enumerate(zip(signals, expected, strict=True)):
+        both, here, there = np.intersect1d(stated.drops[d].time, higher.drops[d].time, return_indices=True)
+        assert len(both) > 100
+        # A place relative to a plane that lies 1 mm higher is 1 mm less; rates and pitch are the same.
+        difference = ours[0][here] - theirs[0][there]
+        # The flight is fitted anew up to another touchdown, from a noisy log.
+        assert np.abs(difference[:, 1] - 1e-3).max() < 2e-5
+        assert np.abs(difference[:, 0]).max() < 2e-5
+        assert np.abs(difference[:, 4]).max() < 1e-3
+    moved = signals[0][0] - stated.predict(row_of(stated)).signals[0][0]
+    assert np.abs(moved[:, 1]).max() > 5e-4
+
+
+def test_another_centre_of_mass_is_the_centre_stated_there(stated, exact):
+    # Of the body's axes the capture's -z points down-slope.
+    other = shifted(exact, "other", **{"centre_of_mass_offset[1]": 2.0, "centre_of_mass_offset[2]": -3.0})
+    centre = np.array([3e-3, 2e-3])
+    row = row_of(stated, centre_of_mass_dx=centre[0], centre_of_mass_dz=centre[1])
+    signals = stated.predict(row).signals
+    expected = other.predict(row_of(other)).signals
+    for d, (ours, theirs) in enumerate(zip(signals, expected, strict=True)):
+        both, here, there = np.intersect1d(stated.drops[d].time, other.drops[d].time, return_indices=True)
+        assert len(both) > 100
+        pitch = theirs[0][there][:, 4]
+        turn = np.array([[np.cos(pitch), np.sin(pitch)], [-np.sin(pitch), np.cos(pitch)]])
+        way = np.einsum("ijn,j->ni", turn, centre)
+        # The flights of two bodies are fitted anew from noisy logs: bounces carry small differences on.
+        error = np.abs(theirs[0][there][:, :2] - ours[0][here][:, :2] - way)
+        assert error[:15].max() < 1.5e-4
+        assert np.median(error, axis=0).max() < 2e-4
+        assert error.max() < 5e-4
+
+
+def test_a_steeper_slope_is_the_slope_stated_steeper(stated, exact):
+    steeper = shifted(exact, "steeper", **{"slope[2]": 5.0})
+    angle = math.radians(21)
+    signals = stated.predict(row_of(stated, **{"slope[drop-2]": angle})).signals
+    expected = steeper.predict(row_of(steeper)).signals
+    for d, (ours, theirs) in enumerate(zip(signals, expected, strict=True)):
+        both, here, there = np.intersect1d(stated.drops[d].time, steeper.drops[d].time, return_indices=True)
+        assert len(both) > 100
+        error = np.abs(ours[0][here] - theirs[0][there])
+        assert error.max() < (5e-3 if d == 1 else 1e-9)
+    assert np.abs(signals[1] - stated.predict(row_of(stated)).signals[1]).max() > 0.05

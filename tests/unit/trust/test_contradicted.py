@@ -1,0 +1,94 @@
+"""Stated values against trials, on linear models where the answer is known in closed form."""
+
+import numpy as np
+import pytest
+
+from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from sysid.stated import Stated
+from sysid.trust.linearized import Information, Linearized
+from sysid.trust.stated import contradictions, stated_values
+
+ERRORS = np.array([0.01, 0.02, 0.05])
+TRUE = np.array([1.0, 2.0, 3.0])
+
+
+def space_of(stated):
+    rows = [
+        Parameter(f"v{i}", f"v_{i}", "kg", 1.0, 0.0, 9.0, "linear", "A number.", "test") for i in range(4)
+    ]
+    space = SearchSpace.build(ParameterTable(rows), ["v3"], {})
+    return space.with_stated(
+        {f"v{i}": Stated(value, error) for i, (value, error) in enumerate(zip(stated, ERRORS, strict=True))}
+    )
+
+
+def fitted(stated, design, data):
+    """The space, and the least squares of ``data = design v + noise of 1`` and what is stated of v0 to v2."""
+    space = space_of(stated)
+    prior = np.diag([0.0, *1 / ERRORS**2])
+    normal = design.T @ design + prior
+    covariance = np.linalg.inv(normal)
+    values = covariance @ (design.T @ data + prior @ np.array([0.0, *stated]))
+    reach = np.array([row.upper - row.lower for row in space.free])
+    known = Information(normal, normal, covariance / np.outer(reach, reach), np.ones(4))
+    nothing = np.zeros(0)
+    linear = Linearized(space.encode(values), nothing, nothing, None, None, known, nothing)
+    return space, linear, values
+
+
+def drawn(seed, wrong=0.0):
+    """What is stated, a design (40, 4) of v3, v0, v1, v2, and data; v0 is stated wrong by so many errors."""
+    random = np.random.default_rng(seed)
+    design = random.standard_normal((40, 4)) * np.array([1.0, 60.0, 40.0, 2.0])
+    data = design @ np.array([5.0, *TRUE]) + random.standard_normal(40)
+    errors = random.standard_normal(3)
+    errors[0] = wrong or errors[0]
+    return TRUE + errors * ERRORS, design, data
+
+
+def test_a_wrong_value_is_named_and_its_true_value_is_asked_for():
+    inside = 0
+    for seed in range(40):
+        stated, design, data = drawn(seed, wrong=8.0)
+        space, linear, _ = fitted(stated, design, data)
+        rows = stated_values(space, linear)
+        assert [row.name for row in rows if row.contradicted] == ["v0"]
+        # Exactly the least squares in which nothing is stated of v0.
+        none = np.diag([0.0, 0.0, *1 / ERRORS[1:] ** 2])
+        normal = design.T @ design + none
+        free = np.linalg.solve(normal, design.T @ data + none @ np.array([0.0, *stated]))
+        assert rows[0].asked == pytest.approx(free[1], rel=1e-9)
+        assert rows[0].sigma == pytest.approx(np.sqrt(np.linalg.inv(normal)[1, 1]), rel=1e-6)
+        inside += abs(rows[0].asked - 1.0) < 1.96 * rows[0].sigma
+        (finding,) = contradictions(rows, space)
+        assert finding.code == "stated-value-contradicted"
+        assert "the campaign states 1.080 ± 0.010 kg (" in finding.sentence
+        assert finding.sentence.endswith(" standard errors): measure it again")
+    assert inside >= 35
+
+
+def test_right_values_are_left_alone():
+    accused = 0
+    for seed in range(300):
+        space, linear, values = fitted(*drawn(seed))
+        rows = stated_values(space, linear)
+        assert [row.fitted for row in rows] == pytest.approx(values[1:])
+        accused += any(row.contradicted for row in rows)
+        assert all(row.sigma <= row.error for row in rows)
+    # The chance of an accusation is 2 %.
+    assert accused <= 14
+
+
+def test_values_that_trials_cannot_tell_apart_are_named_together():
+    random = np.random.default_rng(0)
+    design = random.standard_normal((40, 4)) * np.array([1.0, 60.0, 0.0, 0.0])
+    # The trials see the sum of v0 and v1 in units of their errors.
+    design[:, 2] = design[:, 1] / 2
+    data = design @ np.array([5.0, *TRUE]) + random.standard_normal(40)
+    space, linear, _ = fitted(TRUE + np.array([10.0, 0.0, 0.0]) * ERRORS, design, data)
+    rows = {row.name: row for row in stated_values(space, linear)}
+    (wrong,) = (row for row in rows.values() if row.contradicted)
+    assert {wrong.name, *wrong.partners} == {"v0", "v1"}
+    assert rows["v0"].asked == pytest.approx(1.0, abs=0.04)
+    assert rows["v1"].asked == pytest.approx(1.8, abs=0.08)
+    assert "would do the same" in contradictions([*rows.values()], space)[0].sentence
