@@ -99,8 +99,8 @@ class ParameterTable(dict[str, Parameter]):
         name is a CampaignError.
         """
         for name in given:
-            if name not in self.derived:
-                self[name.partition("[")[0]]
+            if (common := name.partition("[")[0]) not in self.derived:
+                self[common]
         return {name: float(given.get(name, row.nominal)) for name, row in self.items()}
 
     @property

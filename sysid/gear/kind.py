@@ -110,6 +110,10 @@ def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
     across = column["foot_dx"] - column["joint_dx"]
     down = column["foot_dz"] - column["joint_dz"]
     derived = [np.hypot(across, down), np.arctan2(across, down)]
+    fitted, nrmse = problem.fitted, sets.cost
+    if problem.space.stated:
+        # The search adds to the NRMSE what stated values cost that are left.
+        nrmse = fitted.cost.mean(fitted.score(sets.values).by_channel)
     # Further facts that a simulator must know.
     settings = {
         "surface": campaign.surface.law,
@@ -130,7 +134,7 @@ def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
         records=records,
         values=np.column_stack([sets.values, *derived]),
         at_bound=np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED)))),
-        nrmse=sets.cost,
+        nrmse=nrmse,
         settings=settings,
         cut=course.cut,
     )

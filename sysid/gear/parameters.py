@@ -10,6 +10,8 @@ from sysid.parameters import Parameter, ParameterTable
 
 _MEASURED = "Table II, measured"
 _LF = "Table II, low friction, mean of five fits; bounds guessed"
+# Numbers of the capture that a fit may move (`sysid.gear.stated`), without the drop.
+CAPTURED = ("slope", "centre_of_mass_dx", "centre_of_mass_dz", "surface_dx", "surface_dz")
 
 
 # fmt: off
@@ -89,7 +91,7 @@ PARAMETERS = ParameterTable(
         _term("ground_rate_stiffening", "χ_s", "s/m", 3.0, "Rise of the contact force per approach."),
         _term("pitch_drag", "c_q", "N·m·s²", 0.02, "Moment against the body's turning, c_q |q'| q'."),
     ],
-    derived=("leg_length", "leg_rest_angle"),
+    derived=("leg_length", "leg_rest_angle", *CAPTURED),
 )
 # fmt: on
 

@@ -35,6 +35,7 @@ from sysid.gear.model import (
     prepare,
     simulate_population,
 )
+from sysid.gear.parameters import CAPTURED
 from sysid.gear.starts import (
     compared_noise,
     level_error,
@@ -340,9 +341,16 @@ class GearProblem(Problem):
         """What the campaign states of the model's parameters."""
         return measured_values(self.campaign)
 
+    @property
+    def instruments(self) -> Collection[str]:
+        """Places in the capture."""
+        return CAPTURED
+
     def known(self, fit: FitResult) -> Collection[str]:
-        """Return what the campaign states or fixes."""
-        return {*self.stated, *self.campaign.parameters.fixed}
+        """Return what the campaign states or fixes; places as stated where no log is one of the fit's."""
+        digests = {log.get("sha256") for log in fit.provenance.get("logs", {}).values()}
+        other = CAPTURED if digests.isdisjoint(trial.digest for trial in self.trials) else ()
+        return {*self.stated, *self.campaign.parameters.fixed, *other}
 
     def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
         """Return the fall, the contact until the body falls again, the bounces, and the rest.

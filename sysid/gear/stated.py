@@ -8,7 +8,7 @@ brought back to where the capture would have seen them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -17,6 +17,7 @@ import numpy as np
 from sysid.campaign import GearCampaign
 from sysid.campaign.gear import Point
 from sysid.gear.drops import PreparedDrop
+from sysid.gear.parameters import CAPTURED
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.stated import Stated, error_of
 from sysid.trials.capture import CaptureFrame
@@ -36,8 +37,6 @@ SURFACE = (
     _captured("surface_dx", "δx_s", "m", "Surface's point beyond its stated place, down-slope."),
     _captured("surface_dz", "δz_s", "m", "Surface's point above its stated place."),
 )
-# Names of these rows without the drop.
-CAPTURED = tuple(row.name for row in (SLOPE, *CENTRE, *SURFACE))
 
 
 def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
@@ -114,20 +113,29 @@ class Moved:
         """Return what rows of a table (P, n) [SI] say; None where the table has no such row."""
         if not any(row.common_name in CAPTURED for row in table.values()):
             return None
-        count, index = len(rows), table.index
+        index = table.index
 
-        def column(name: str, default: float) -> FloatArray:
-            return rows[:, index[name]] if name in index else np.full(count, default)
+        def column(name: str, default: FloatArray | float) -> FloatArray:
+            return rows[:, index[name]] if name in index else np.full(len(rows), default)
 
-        slopes = np.stack([column(f"slope[{drop.name}]", drop.slope) for drop in drops], axis=1)
-        centre = np.stack([column(row.name, 0.0) for row in CENTRE], axis=1)
-        common = [column(row.name, 0.0) for row in SURFACE]
-        surface = np.zeros((count, len(drops), 2))
-        for d, drop in enumerate(drops):
-            for k, row in enumerate(SURFACE):
-                own = f"{row.name}[{drop.name}]"
-                surface[:, d, k] = rows[:, index[own]] if own in index else common[k]
-        return cls(slopes, centre, surface)
+        return cls._read(column, {drop.name: drop.slope for drop in drops})
+
+    @classmethod
+    def in_set(cls, values: Mapping[str, float], drop: str, slope: float) -> Self:
+        """Return what the values of a set by name [SI] say of one drop on a slope as stated [rad]."""
+        return cls._read(lambda name, default: np.array([values.get(name, default)]).ravel(), {drop: slope})
+
+    @classmethod
+    def _read(
+        cls, column: Callable[[str, FloatArray | float], FloatArray], slopes: Mapping[str, float]
+    ) -> Self:
+        common = {row.name: column(row.name, 0.0) for row in (*CENTRE, *SURFACE)}
+        surface = [[column(f"{row.name}[{drop}]", common[row.name]) for row in SURFACE] for drop in slopes]
+        return cls(
+            np.stack([column(f"slope[{drop}]", slope) for drop, slope in slopes.items()], axis=1),
+            np.stack([common[row.name] for row in CENTRE], axis=1),
+            np.moveaxis(np.array(surface), 2, 0),
+        )
 
     def _turned(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the shift of the centre of mass along x and z at pitches (P, ...) [rad]."""

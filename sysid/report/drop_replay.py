@@ -17,6 +17,7 @@ from sysid.errors import ExportError
 from sysid.filters import runs
 from sysid.fit.result import FitResult, TrialResult
 from sysid.gear.model import simulate
+from sysid.gear.stated import Moved
 from sysid.report.drawing import USES, directions
 from sysid.report.html import NOTHING, Html, filled
 from sysid.report.plots import embedded
@@ -108,7 +109,9 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     start[:3] -= start[3:] * delay
     start[1] -= 0.5 * values["gravity"] * delay**2 + height
     start[4] += values["gravity"] * delay
-    slope = float(np.radians(log["slope_deg"]))
+    # So do a centre of mass and a surface that were fitted within the errors of their places.
+    fitted = Moved.in_set(values, trial.name, float(np.radians(log["slope_deg"])))
+    start, slope = fitted.starts(start[None, None])[0, 0], float(fitted.slopes[0, 0])
     frames = trial.time - trial.time[0]
     time = np.arange(0.0, frames[-1] + 0.5 / RATE, 1.0 / RATE)
     columns = [fit.channels.index(name) for name in ("x_B", "z_B", "q_B")]
@@ -118,12 +121,15 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     tolerance = float(fit.settings.get("tolerance", 3e-4))
     # A parameter that an older fit lacks takes its default.
     run = simulate(values, slope, start, time, surface=surface, tolerance=tolerance)
-    feet, lift = foot_points(run.state, values), np.array([0.0, height])
+    feet = foot_points(run.state, values)
+    body = np.array(run.state[None, :, [0, 1, 2, 7, 8, 9]])
+    fitted.as_captured(body, 0)
+    lift = fitted.surface[0, 0] + np.array([0.0, height])
     # Feet are smooth in the coordinates: a difference over 0.1 us leaves an error of some 1e-7 m/s.
     instant = 1e-7
     moved = foot_points(run.state[:, :7] + instant * run.state[:, 7:], values)
     return DropReplay(
-        trial.name, trial.use, slope, time, body=run.state[:, :3] + [0.0, height, 0.0],
+        trial.name, trial.use, slope, time, body=body[0, :, :3] + [0.0, height, 0.0],
         feet=feet + lift, normal_force=run.normal_force, friction_force=run.friction_force,
         measured=measured, contacts=_contacts(time, run.normal_force), values=values,
         slip_speed=np.asarray((moved - feet) @ directions(slope)[0] / instant),

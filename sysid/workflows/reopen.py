@@ -98,7 +98,7 @@ def reopen(folder: Path, result: FitResult, campaign: Path | None, threads: int 
             )
         opened = OpenedFit(folder, result, path, kind, kind.open(content, path, threads))
     names = opened.space.names
-    fitted = tuple(record.name for record in result.parameters if record.name in names)
+    fitted = tuple(r.name for r in result.searched or result.parameters if r.name in names)
     if names != fitted or len(names) != result.cube.shape[1]:
         raise FitError(
             f"{path}: frees {', '.join(names)}, which are not the {result.cube.shape[1]} free parameters of "

@@ -1,10 +1,13 @@
 """Drops of a right model in a campaign with a good lab's errors: all are fitted, a gross one is named."""
 
 import math
+import subprocess
+import sys
 
 import pytest
 
 from fakes.lab import misstated
+from fakes.places import SAMPLES
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.trust.documents import TrustDocument
 from sysid.workflows.fit import fit_gear
@@ -55,6 +58,28 @@ def test_a_good_labs_errors_are_fitted(campaign, seed):
     # With seed 3 the friction is drawn 3.3 standard errors off, which is named.
     for row in trust.stated:
         assert not row.contradicted or abs(true[row.name] - row.stated) > 3 * row.error
+
+
+def test_every_verb_takes_a_fit_with_stated_values(campaign):
+    path = misstated(campaign, 5, name="verbs.toml")
+    result, trust = fitted(path)
+    folder = path.with_suffix("")
+    motor = SAMPLES / "published" / "published-motor.json"
+    for command in (
+        f"trust {folder} --resamples 0", f"report {folder}", f"validate {folder} {path}", f"show {folder}",
+        f"export {folder} --out {folder}/sets.json", f"export {folder} --out {folder}/quad.xml",
+        f"simulate {folder} --motor {motor} --slope 20deg --speed 0.5m/s", f"check {path}",
+    ):  # fmt: skip
+        ended = subprocess.run(
+            [sys.executable, "-m", "sysid", *command.split()], capture_output=True, text=True
+        )
+        assert ended.returncode == 0, command + ended.stderr
+    again = TrustDocument.parse((folder / "trust.json").read_text("utf-8"), folder / "trust.json", ValueError)
+    assert [row.verdict for row in again.parameters] == [row.verdict for row in trust.parameters]
+    # The cost of pulls is no part of the NRMSE.
+    assert result.nrmse[0] == pytest.approx(trust.adequacy.nrmse, rel=2e-3)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "what the campaign states, and what the fit made of it" in page
 
 
 def test_the_same_campaign_taken_as_exact_is_not_explained(campaign):
