@@ -4,8 +4,8 @@
     python tests/benchmarks/stated_values.py gross --seeds 101-140 [--law hf]
 
 Every campaign is of another drone. `good` draws every value from its error; `gross` moves one key by 5 to 15
-standard errors on top of that. Printed per campaign: verdict, errors of k_h, k_t, dx_j, intervals that contain
-the truth, accused values, processor time; then the counts.
+standard errors on top of that. Printed for each campaign: verdict, errors of k_h, k_t, dx_j, intervals that
+contain the truth, accused values, processor time; then the counts.
 """
 
 import argparse
