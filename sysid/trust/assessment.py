@@ -254,7 +254,7 @@ def not_narrower(profiles: Profiles, space: SearchSpace, others: Sequence[Linear
 
     The cost of a wrong model is rough and rises in steps, so that a profile may end before the misfit does.
     """
-    out, n = [], len(profiles.profiles)
+    out = []
     for i, profile in enumerate(profiles.profiles):
         ends, opens = [], []
         for reach, was, opened in (
@@ -262,7 +262,7 @@ def not_narrower(profiles: Profiles, space: SearchSpace, others: Sequence[Linear
             (NORMAL_95, profile.interval_95, profile.open_95),
         ):
             ways = [at.point[i] + side * at.information.sigma[i] for at in others for side in (-reach, reach)]
-            cube = np.repeat(others[0].point[None, :n], 2, axis=0)
+            cube = np.repeat(others[0].point[None], 2, axis=0)
             cube[:, i] = np.clip([min(ways), max(ways)], 0.0, 1.0)
             low, high = space.decode(cube)[:, i].tolist()
             ends.append((min(was[0], low), max(was[1], high)))
