@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 
@@ -29,6 +30,7 @@ def campaign(tmp_path_factory):
     return synthesize_gear(folder, seed=1, parameters=DRONE) / "campaign.toml"
 
 
+@cache
 def fitted(path, **options):
     """The fit of a campaign by one run, and its intervals."""
     out = path.with_suffix("")
@@ -61,14 +63,14 @@ def test_a_good_labs_errors_are_fitted(campaign, seed):
 
 
 def test_every_verb_takes_a_fit_with_stated_values(campaign):
-    path = misstated(campaign, 5, name="verbs.toml")
+    path = misstated(campaign, 1, name="good-1.toml")
     result, trust = fitted(path)
     folder = path.with_suffix("")
     motor = SAMPLES / "published" / "published-motor.json"
     for command in (
         f"trust {folder} --resamples 0", f"report {folder}", f"validate {folder} {path}", f"show {folder}",
         f"export {folder} --out {folder}/sets.json", f"export {folder} --out {folder}/quad.xml",
-        f"simulate {folder} --motor {motor} --slope 20deg --speed 0.5m/s", f"check {path}",
+        f"simulate {folder} --motor {motor} --slope 20deg --speed 0.5m/s",
     ):  # fmt: skip
         ended = subprocess.run(
             [sys.executable, "-m", "sysid", *command.split()], capture_output=True, text=True
