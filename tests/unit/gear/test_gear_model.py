@@ -149,7 +149,7 @@ def test_lanes_become_packed_instructions(surface):
     marks = np.full((1, 1, 4), np.nan), np.empty((1, 1, 3, 6)), np.empty((0, 7))
     out = (np.empty((1, len(drops.clock), 6)), *counts, *marks)
     rows = model.in_kernel_order(pack({})[None], law)
-    start = (drops.slope, drops.body_state[None], np.empty(0), drops.clock, drops.offset)
+    start = (drops.slope[None], drops.body_state[None], np.empty(0), drops.clock, drops.offset)
     thrust = (drops.segments, drops.plans)
     ending = (0.0, 0.05, 0.2, 0.2, 1.4)  # to the clock's end; rest and flip as by default
     drive(rows, *start, *thrust, np.zeros(1, np.int64), 1e-3, 5e-3, 1e6, ending, *out)
