@@ -237,7 +237,7 @@ def export(
 ) -> None:
     """Write the ranked sets for a simulator.
 
-    Each set becomes a model of its own in MuJoCo (.xml) and in Gazebo (.sdf, a motor): NAME-1.xml, the best,
+    MuJoCo (.xml) and Gazebo (.sdf, a motor) get one model file per set: NAME-1.xml is the best set,
     and so on. With --for, it prints the best set's numbers under the target's names, with units and 95 %
     intervals, and --out writes them.
     """

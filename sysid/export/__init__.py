@@ -55,7 +55,7 @@ def export(sets: ParameterSets, path: str | Path) -> Path:
 def load_parameter_sets(path: str | Path) -> ParameterSets:
     """Read parameter sets from any file that `export` writes, or from a fit folder or a file of it.
 
-    They are equal to what was written, bit for bit; those of a fit state its intervals. ExportError when
+    They are equal to what was written, bit for bit; sets of a fit state its intervals. ExportError when
     there is no file, it is foreign, damaged, cut off or of an unknown schema version, FitError for such a
     fit, and where its files contradict each other.
     """

@@ -175,7 +175,7 @@ TARGETS: Mapping[str, Format] = {
 class Given:
     """A number of a target as a motor gives it [`unit`].
 
-    `ends` are those of its 95 % interval, None where it is exact or nothing says how sure it is; `why_not`
+    `ends` are the ends of its 95 % interval, None where it is exact or has no known interval; `why_not`
     is the sentence that says what is missing, and the value is NaN then.
     """
 
@@ -242,7 +242,7 @@ class TargetNumbers(Shown):
         head = f"{form.title}: {self.name}, set {self.rank}, written by sysid."
 
         def said(sentence: str) -> str:
-            # Two hyphens would end a comment of XML, a new line those of the others.
+            # Two hyphens end an XML comment; a new line ends a comment of the other formats.
             return form.comment.format(re.sub("-(?=-)", "- ", " ".join(printable(sentence).split())))
 
         lines = [*map(said, (head, f"Source: {form.source}", *self.notes))]
@@ -284,13 +284,13 @@ def numbers_for(
 
     Notes
     -----
-    An interval combines, as independent, what each judged parameter and each static curve adds at the ends
-    of its own 95 % interval (the two coefficients of a curve together), the calibration of the load cells
-    for thrust and for torque, and what steady speeds under one command differ by; a parameter whose interval
-    is open counts up to the bound of the search. Constants that the campaign states, such as Kv and inertia,
+    An interval combines independent contributions: each judged parameter and each static curve at the ends
+    of its own 95 % interval (both coefficients of a curve together), the calibration of the load cells for
+    thrust and for torque, and the scatter of steady speeds under one command. A parameter whose interval is
+    open counts up to the bound of the search. Constants that the campaign states, such as Kv and inertia,
     are taken as exact. Where the steady speed is no line of the command, its levels count as they were
     measured, with the supply that sags under their load. Where the model does not explain the logs, time
-    constants are those of the logs' own steps, if the fit states them.
+    constants come from the steps in the logs, if the fit states them.
 
     Examples
     --------

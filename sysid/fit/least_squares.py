@@ -110,10 +110,10 @@ def descend(
     """Walk downhill, every front by at most `iterations` steps.
 
     `steps` (n,) are the displacements of the difference quotients [unit cube]; by default they follow from
-    the curvature at each front. Coordinates that are `fixed` (F, n) keep their value. `kept` (k, m) are
-    derivatives of the last k coordinates that count at every point; by default all are taken anew in every
-    step. `central` differences cost two simulations per coordinate, one-sided ones cost one. A front has
-    converged when two steps in a row reduce its cost by less than the `tolerance`.
+    the curvature at each front. Coordinates that are `fixed` (F, n) keep their value. `kept` (k, m) replace
+    the difference quotients of the last k coordinates at every point; by default every step differentiates
+    all coordinates. `central` differences cost two simulations per coordinate, one-sided ones cost one. A
+    front has converged when two steps in a row reduce its cost by less than the `tolerance`.
     """
     points, cost = fronts.points, fronts.cost
     count, n = points.shape

@@ -55,7 +55,7 @@ class Problem(ABC):
     causes: tuple[str, ...] = UNNAMED_CAUSE
     # Misfit that no user of the model would feel, over the largest value of its channel [1].
     small: float = 0.0
-    # What to do, in words, where the model does not explain the trials.
+    # Advice for a user whose trials the model does not explain; empty: none.
     remedy: str = ""
 
     # --- what a model must say ------------------------------------------------------------------------------

@@ -432,7 +432,7 @@ def _run(
 ) -> PopulationSamples:
     """Simulate from the body's start (P or 1, D, 6) in frame N and the legs' (8,), empty for legs at rest.
 
-    `slopes` (P or 1, D) are by default those of the drops.
+    `slopes` (P or 1, D) replace the slopes of the drops.
     """
     slopes = drops.slope[None] if slopes is None else slopes
     if rows.ndim != 2 or rows.shape[1] != len(PARAMETERS):

@@ -56,7 +56,8 @@ def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
         rows.append(row)
         stated[row.name] = value
     stated = {name: value for name, value in stated.items() if _moves(value)}
-    rows = [row for row in rows if row.name in stated]
+    # A drop with an exact point of its own does not follow the point of the others.
+    rows = [row for row in rows if row.name in stated or row.common_name in stated]
     return space.with_stated(stated, rows) if stated else space
 
 

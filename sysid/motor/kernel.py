@@ -393,7 +393,7 @@ def integrate(
                     longest = max(_TERM_STEP, _TERM_RISE / (warming * current * current))
                 step = min(step, longest)
                 last = last and step == t_break - t
-            # As warm as half-way: constant in a step, the resistance is then of second order in time.
+            # The resistance at the middle of the step, constant in it: exact to the second order in time.
             res = cold * (1.0 + warming * (heat + 0.5 * step * current * current))
             if drop != 0.0:
                 more, slope = _dead_time(step, level, current, volt - k_v * speed, res, ind, drop)

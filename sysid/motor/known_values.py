@@ -99,7 +99,7 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     if slow and campaign.motor.kv is not None and curves.ties:
         power = lost_power(points, values["torque_constant"])
     if power is not None and power.resistance > 0:
-        # Between two rows of such a log the winding has settled: the response to a step does not show R.
+        # The winding settles between two rows of a slow log, so only the lost power shows R.
         values["winding_resistance"] = power.resistance
         measured["winding_resistance"] = (
             f"lost power of {len(power.speeds)} steady levels under the rating's Kv, 95 % from "

@@ -238,7 +238,7 @@ def lost_power(points: SteadyPoints, constant: float) -> LostPower | None:
     motor = torque / constant
     columns = np.column_stack([motor**2, speed])
     (resistance, friction), _ = nnls(columns, lost)
-    # What the two terms leave is the error: levels of unlike load are not of one law.
+    # Unlike loads break the law of two terms, so the scatter about it gives the error of R.
     residual = lost - columns @ [resistance, friction]
     spread = float(residual @ residual) / (lost.size - 2)
     half = _WIDE * float(np.sqrt(spread * np.linalg.inv(columns.T @ columns)[0, 0]))

@@ -187,7 +187,7 @@ def _slow_target(log: BenchLog, name: str, start: float) -> MotorTarget:
 
     measured = _compared(log, rows, at_rows)
     seen = np.isfinite(measured)
-    # What drops out is shown, and does not count.
+    # Figures show speeds that drop out; the NRMSE leaves them out.
     place = np.searchsorted(rows, log.dropped[0])
     inside = (place < rows.size) & ~outside(log.dropped[0], (log.window,))
     measured[place[inside], 1] = log.dropped[1][inside]

@@ -90,11 +90,11 @@ class StatedValue(Part):
     name: str
     symbol: str
     unit: str
-    # Of the campaign, with one standard error.
+    # Value in the campaign, and its standard error there.
     stated: float
     error: float
-    # In the best set, what the trials and the statement leave open of it, and its distance from the stated
-    # value [standard errors].
+    # Value in the best set, its standard deviation after the fit, and its distance from the stated value
+    # [standard errors].
     fitted: float
     sigma: float
     pull: float

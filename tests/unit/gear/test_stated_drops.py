@@ -156,3 +156,18 @@ def test_a_steeper_slope_is_the_slope_stated_steeper(stated, exact):
         error = np.abs(ours[0][here] - theirs[0][there])
         assert error.max() < (5e-3 if d == 1 else 1e-9)
     assert np.abs(signals[1] - stated.predict(row_of(stated)).signals[1]).max() > 0.05
+
+
+def test_a_drop_with_an_exact_point_does_not_follow_the_point_of_the_others(exact):
+    path = misstated(exact, 0, name="own.toml")
+    head, last = path.read_text(encoding="utf-8").rsplit("[[trials]]", 1)
+    own = '[[trials]]\npoint = ["364 mm", "430.5 mm", "-812.5 mm"]'
+    path.write_text(head + own + last, encoding="utf-8")
+    problem = opened(path)
+    assert "surface_dz" in problem.space.stated
+    assert "surface_dz[drop-3]" not in problem.space.stated
+    before, after = (problem.predict(row_of(problem, surface_dz=place)).signals for place in (0.0, 1e-3))
+    moved = [np.abs(there - here).max() for here, there in zip(before, after, strict=True)]
+    assert moved[0] > 5e-4
+    assert moved[1] > 5e-4
+    assert moved[2] == 0.0
