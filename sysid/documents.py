@@ -74,6 +74,8 @@ def channel_symbol(channel: str) -> str:
 
 
 CONFIG = ConfigDict(
+    # A command builds the validators of the documents that it reads, not of all that it imports.
+    defer_build=True,
     frozen=True,
     extra="forbid",
     ser_json_inf_nan="strings",

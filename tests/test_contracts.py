@@ -206,8 +206,9 @@ def test_no_pickle_and_no_eval(sources):
     [
         ("sysid.cli", ("numpy", "numba", "pymoo", "pandas", "matplotlib", "scipy", "h5py")),
         ("sysid.export", ("numba", "pymoo", "pandas")),
-        # `sysid show` takes half a second of processor time; any of these modules would take longer.
-        ("sysid.workflows.show", ("scipy", "numba", "pandas")),
+        # `sysid show` takes half a second of processor time; any of these modules would take as long.
+        ("sysid.workflows.show", ("scipy", "numba", "pandas", "matplotlib")),
+        ("sysid.workflows.fits", ("scipy", "numba", "pandas", "matplotlib")),
         ("sysid.report.fit_figures", ("matplotlib.pyplot",)),
     ],
 )

@@ -1,7 +1,8 @@
 """How every figure looks: colours, labels with units, the width of a page, files.
 
 Nothing goes through pyplot: no window, no backend and no state is shared. Colours are Okabe and Ito's, which
-colour-blind readers tell apart.
+colour-blind readers tell apart. matplotlib is imported where something is drawn, because commands that
+print need this module as well.
 """
 
 from __future__ import annotations
@@ -10,19 +11,18 @@ import io
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from sysid.errors import ExportError
 from sysid.fit.result import FitResult
 from sysid.storage import write_file
 from sysid.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 MEASURED = "#000000"
 BEST = "#D55E00"
@@ -62,6 +62,8 @@ Point = tuple[float, float] | FloatArray
 
 def panel(height: float, width: float = WIDTH, *, grid: bool = True, **rows: Any) -> tuple[Figure, Any]:
     """Return a figure [in] and its axes: one, or as many as `rows` says to `Figure.subplots`."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots(**rows)
     for each in figure.axes if grid else ():
@@ -90,6 +92,9 @@ def draw_grid(axes: Axes) -> None:
 
 def draw_legend(figure: Figure, entries: Iterable[Entry], place: Any, ncols: int, **look: Any) -> None:
     """Draw a legend for all panels of a figure."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
     handles = [
         Patch(color=colour, label=words)
         if kind == "area"
@@ -178,6 +183,8 @@ def figure_bytes(figure: Figure, kind: str, dpi: float = 150.0) -> bytes:
 
     `dpi` are the pixels per inch of a PNG, and of dense curves inside the others.
     """
+    from matplotlib import rc_context
+
     buffer = io.BytesIO()
     # A date or random names would make the bytes of equal figures differ.
     metadata = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]

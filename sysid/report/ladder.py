@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.figure import Figure
 
 from sysid.documents import rounded
 from sysid.fit.adequacy import EXPLAINED_BY
@@ -11,6 +12,9 @@ from sysid.parameters import with_unit
 from sysid.report.drawing import panel
 from sysid.report.table import Cell, Table, number, numbers, percent, table, words
 from sysid.trust.documents import LadderDocument, LadderRung, TrustDocument
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Least relative move of a parameter that the table of moves names [1].
 _LEAST = 0.01
