@@ -134,7 +134,7 @@ def _excess(nrmse, truth):
 
 @pytest.mark.slow
 def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
-    """0.05 mm and 0.05 deg: excess of the GA's best run below 4 %; finished, k_h, k_t, dx_j within 10 %.
+    """0.05 mm and 0.05 deg: excess of the GA's better run below 4 %; finished, k_h, k_t, dx_j within 10 %.
 
     Population 800, the upper end of the paper's 400 to 800. The GA alone leaves k_t up to a fifth off.
     """
@@ -142,11 +142,10 @@ def test_low_noise_fit_finds_stiffnesses_and_joint(tmp_path):
     campaign, drops, truth = opened(folder)
     floor = float(score_values(campaign, used(drops), truth).cost[0])
     options = FitOptions(
-        out=tmp_path / "fit", algorithm="ga", population=800, finish="cmaes", quiet=True, trust=False
+        out=tmp_path / "fit", runs=2, algorithm="ga", population=800, finish="cmaes", quiet=True, trust=False
     )
     result, _ = fit_gear(folder / "campaign.toml", options)
     plain = np.array([run.stages[0].cost.min() for run in result.runs])
-    assert len(result.nrmse) == 5
     assert _excess(plain, floor).min() < 0.04
     assert result.nrmse[0] <= 1.002 * floor
     best = result.parameter_sets().set_values(1)
@@ -160,8 +159,9 @@ def test_the_paper_s_search_on_full_noise(tmp_path):
     folder = synthesize_gear(tmp_path / "drops", seed=1)
     campaign, drops, truth = opened(folder)
     floor = float(score_values(campaign, used(drops), truth).cost[0])
+    # Two runs: 6.7 and 6.2 % of excess.
     paper = FitOptions(
-        out=tmp_path / "plain", algorithm="ga", population=400, finish="none", quiet=True, trust=False
+        out=tmp_path / "plain", runs=2, algorithm="ga", population=400, finish="none", quiet=True, trust=False
     )
     plain, _ = fit_gear(folder / "campaign.toml", paper)
     # Eight free parameters soak up some of 900 noisy samples per channel: about 2 % of the truth's NRMSE.
