@@ -21,7 +21,8 @@ from typing import Protocol
 
 import numpy as np
 
-from sysid.fit.breeders.breeder import Breeder, Start
+from sysid.fit.breeders.breeder import Breeder
+from sysid.fit.derivatives import Layout, displaced
 from sysid.fit.problem import Problem
 from sysid.fit.stopping import StopReason
 from sysid.fit.trial import Block
@@ -30,20 +31,17 @@ from sysid.types import BoolArray, FloatArray
 # Damping that is tried in every step, as multiples of a front's present damping.
 _FACTORS = (0.1, 1.0, 10.0)
 _DAMPING = (1e-8, 1e-3, 1e6)
-# Difference steps of the finisher [unit cube]: first step, least and largest later step.
-_FIRST_STEP, _LEAST_STEP, _LARGEST_STEP = 3e-3, 1e-3, 0.03
-# Later step over the distance along which the NRMSE changes by 0.1 % [1].
-_STEP_SHARE = 0.3
+# Rise of the finisher's cost along a difference step [1]: a step of 0.3 times the distance along which the
+# NRMSE changes by 0.1 %.
+RISE = 1.8e-4
+# Iterations after which the derivatives by stated values are taken again.
+_REFRESHED = 4
 # Starts closer than this in every coordinate count as one [unit cube].
 _SAME_START = 0.05
 # A front of the finisher has converged when a step takes less than this share off its cost.
-_TOLERANCE = 1e-4
+_TOLERANCE = 2e-5
 # A model explains the trials where its NRMSE is at most this multiple of what noise costs [1].
 EXPLAINED = 1.2
-# Relative rise of the NRMSE at the ends of the axes along which CMA-ES starts after least squares [1].
-_AXIS_COST = 0.005
-# Greatest length of an axis along which CMA-ES starts [unit cube].
-_AXIS_LENGTH = 0.15
 # A channel that fits better than this is not weighted up any further: noise-free samples have no scale [1].
 LEAST_NRMSE = 1e-5
 
@@ -77,12 +75,13 @@ class Fronts:
     curvature: FloatArray
 
     @classmethod
-    def at(cls, points: FloatArray) -> Fronts:
-        """Return fronts at points (F, n) of the unit cube."""
+    def at(cls, points: FloatArray, curvature: FloatArray | None = None) -> Fronts:
+        """Return fronts at points (F, n) of the unit cube; `curvature` (n, n), if known, is that of all."""
         count, n = points.shape
+        curvature = np.zeros((n, n)) if curvature is None else curvature
         return cls(
             np.array(points, dtype=np.float64), np.full(count, np.inf), np.zeros(count, dtype=np.bool_),
-            np.zeros((count, n, n)),
+            np.repeat(curvature[None], count, axis=0),
         )  # fmt: skip
 
     def part(self, part: slice) -> Fronts:
@@ -99,8 +98,9 @@ class Fronts:
 def descend(
     fronts: Fronts,
     weighing: Weighing,
+    layout: Layout,
     *,
-    steps: FloatArray | None = None,
+    rise: float = RISE,
     fixed: BoolArray | None = None,
     kept: FloatArray | None = None,
     central: bool = True,
@@ -109,42 +109,55 @@ def descend(
 ) -> Walk:
     """Walk downhill, every front by at most `iterations` steps.
 
-    `steps` (n,) are the displacements of the difference quotients [unit cube]; by default they follow from
-    the curvature at each front. Coordinates that are `fixed` (F, n) keep their value. `kept` (k, m) replace
-    the difference quotients of the last k coordinates at every point; by default every step differentiates
-    all coordinates. `central` differences cost two simulations per coordinate, one-sided ones cost one. A
-    front has converged when two steps in a row reduce its cost by less than the `tolerance`.
+    The cost rises by about `rise` along each displacement of a difference quotient, see
+    `sysid.fit.derivatives`. Coordinates that are `fixed` (F, n) keep their value. `kept` (S, m) are the
+    derivatives by the stated values, the last S coordinates, at every point; by default they are taken at
+    every fourth step. `central` differences cost two simulations each, one-sided ones cost one. A front has
+    converged when two steps in a row reduce its cost by less than the `tolerance`.
     """
     points, cost = fronts.points, fronts.cost
     count, n = points.shape
     fixed = np.zeros(points.shape, dtype=np.bool_) if fixed is None else fixed
-    adaptive = steps is None
-    widths = np.full(points.shape, _FIRST_STEP) if steps is None else np.broadcast_to(steps, points.shape)
+    known: dict[int, FloatArray] = {}
     damping = np.full(count, _DAMPING[1])
     little = np.zeros(count, dtype=np.int64)
     fronts.converged[:] = False
     current, failed = yield points
     cost[:] = np.where(failed, np.inf, weighing.cost(slice(None), current))
-    for _ in range(iterations):
+    for iteration in range(iterations):
         walking = np.flatnonzero(~fronts.converged & np.isfinite(cost))
-        if not len(walking):
+        numbers: list[int] = walking.tolist()
+        if not numbers:
             return
-        columns, usable = yield from _columns(
-            points[walking], current[walking], fixed[walking], widths[walking], central, kept
-        )
         at = points[walking]
+        moves = []
+        for f, front in enumerate(numbers):
+            asked, bent = ~fixed[front], fronts.curvature[front]
+            if kept is not None or iteration % _REFRESHED:
+                asked[n - layout.stated :] = False
+            moves.append(
+                displaced(at[f], bent, layout, asked=asked, still=fixed[front], rise=rise, central=central)
+            )
+        values, failed = yield np.concatenate([move.points for move in moves])
+        last = 0
         trials = np.repeat(at[:, None], len(_FACTORS), axis=1)
         promised = np.zeros(len(walking))
-        for f, front in enumerate(walking):
-            scale = weighing.scale(int(front), current[front])
-            weighted = columns[f] * scale
+        for f, front in enumerate(numbers):
+            first, last = last, last + len(moves[f].points)
+            if iteration == 0:
+                known[front] = np.zeros((n, values.shape[1]))
+                if kept is not None:
+                    known[front][n - len(kept) :] = kept
+            columns, usable = moves[f].columns(
+                current[front], values[first:last], failed[first:last], known[front]
+            )
+            known[front] = columns
+            scale = weighing.scale(front, current[front])
+            weighted = columns * scale
             gradient = np.einsum("im,m->i", weighted, current[front] * scale)
             curvature = fronts.curvature[front] = np.einsum("im,jm->ij", weighted, weighted)
-            if adaptive:
-                reach = np.sqrt(2e-3 / np.maximum(np.diag(curvature), 1e-30))
-                widths[front] = np.clip(_STEP_SHARE * reach, _LEAST_STEP, _LARGEST_STEP)
             # A coordinate at its bound whose descent leads out of the cube stays there.
-            stuck = ((at[f] <= 0) & (gradient > 0)) | ((at[f] >= 1) & (gradient < 0)) | ~usable[f]
+            stuck = ((at[f] <= 0) & (gradient > 0)) | ((at[f] >= 1) & (gradient < 0)) | ~usable | fixed[front]
             free = np.flatnonzero(~stuck)
             inner = curvature[np.ix_(free, free)]
             for k, times in enumerate(_FACTORS[: len(_FACTORS) if len(free) else 0]):
@@ -160,7 +173,7 @@ def descend(
         reached = weighing.cost(walking, values)
         reached[failed.reshape(reached.shape)] = np.inf
         best = np.argmin(reached, axis=1)
-        for f, front in enumerate(walking):
+        for f, front in enumerate(numbers):
             gain = cost[front] - reached[f, best[f]]
             if gain > 0:
                 points[front], cost[front] = trials[f, best[f]], reached[f, best[f]]
@@ -181,52 +194,6 @@ def drive(walk: Walk, residuals: Callable[[FloatArray], tuple[FloatArray, BoolAr
             count += len(asked)
             asked = walk.send(residuals(asked))
     return count
-
-
-def _columns(
-    at: FloatArray,
-    current: FloatArray,
-    fixed: BoolArray,
-    widths: FloatArray,
-    central: bool,
-    kept: FloatArray | None,
-) -> Generator[FloatArray, tuple[FloatArray, BoolArray], tuple[FloatArray, BoolArray]]:
-    """Return differences (F, n, m) of the residuals by coordinate, and which coordinates (F, n) have one."""
-    count, n = at.shape
-    derived = ~fixed
-    if kept is not None:
-        derived[:, n - len(kept) :] = False
-    which = np.flatnonzero(derived.ravel())
-    axis = np.arange(n)
-
-    def moved(by: FloatArray) -> FloatArray:
-        out = np.repeat(at[:, None], n, axis=1)
-        out[:, axis, axis] = np.clip(at + by, 0.0, 1.0)
-        return out
-
-    if central:
-        ahead, behind = moved(widths), moved(-widths)
-        asked = np.concatenate([ahead.reshape(-1, n)[which], behind.reshape(-1, n)[which]])
-    else:
-        # Away from a face that is near.
-        ahead, behind = moved(np.where(at + widths <= 1.0, widths, -widths)), moved(np.zeros_like(at))
-        asked = ahead.reshape(-1, n)[which]
-    values, failed = yield asked
-    half = len(which)
-    base = values[half:] if central else np.repeat(current, n, axis=0)[which]
-    lost = failed[:half] | failed[half:] if central else failed
-    run = (ahead - behind)[:, axis, axis].ravel()[which]
-    run = np.where(np.abs(run) < 1e-12, 1e-12, run)
-    difference = values[:half] - base
-    difference[lost] = 0.0
-    difference /= run[:, None]
-    out = np.zeros((count * n, values.shape[1]))
-    usable = np.zeros(count * n, dtype=np.bool_)
-    out[which], usable[which] = difference, ~lost
-    columns, moves = out.reshape(count, n, -1), usable.reshape(count, n)
-    if kept is not None:
-        columns[:, n - len(kept) :], moves[:, n - len(kept) :] = kept, True
-    return columns, moves
 
 
 def _inside(matrix: FloatArray, gradient: FloatArray, at: FloatArray) -> FloatArray:
@@ -296,30 +263,33 @@ class MeanNrmse:
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
 STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
+# Stages where these have not come down to the noise: the beginning of a trial misleads a wrong model.
+_OF_WHOLE_WINDOWS = ((1.0, 6, 10, False), (1.0, 2, 8, True))
 
 
 class LeastSquares(Breeder):
-    """Least squares from the best distinct points of a population, over windows that grow."""
+    """Least squares from the best distinct points of a population, over windows that grow or `whole` ones."""
 
     needs_residuals = True
 
-    def __init__(self, objective: Problem, cube: FloatArray, cost: FloatArray) -> None:
+    def __init__(self, objective: Problem, cube: FloatArray, cost: FloatArray, whole: bool = False) -> None:
         """Begin at the best of a population: points (P, n_free) and costs (P,), best first."""
-        self._objective = objective
-        self._fronts = Fronts.at(_distinct(cube, STAGES[0][1]))
+        self._objective, self._stages = objective, _OF_WHOLE_WINDOWS if whole else STAGES
+        self._fronts = Fronts.at(_distinct(cube, self._stages[0][1]))
         self._scored = {point.tobytes(): float(value) for point, value in zip(cube, cost, strict=True)}
         self._walk = self._staged()
         self._asked: FloatArray | None = next(self._walk)
 
     def _staged(self) -> Walk:
-        for share, count, iterations, central in STAGES:
+        for share, count, iterations, central in self._stages:
             # The best come first; those that are left behind stay where they are.
             self._fronts.sort()
             walking = self._fronts.part(slice(count))
             weighing = MeanNrmse(self._objective, share)
             yield from descend(
-                walking, weighing, central=central, tolerance=_TOLERANCE, iterations=iterations
-            )
+                walking, weighing, self._objective.layout, central=central, tolerance=_TOLERANCE,
+                iterations=iterations,
+            )  # fmt: skip
             self._fronts.cost[count:] = np.inf
 
     def ask(self) -> FloatArray | None:
@@ -348,13 +318,6 @@ class LeastSquares(Breeder):
         """Why there is nothing to ask for: the walk has ended, or more is left than noise explains."""
         floor = noise_floor(self._objective.blocks)
         return "converged" if np.exp(self._fronts.cost.min() / 2) <= EXPLAINED * floor else "unexplained"
-
-    def start(self) -> Start:
-        """Return where and along which axes CMA-ES goes on: at the best front, by the cost's curvature."""
-        best = int(np.argmin(self._fronts.cost))
-        curvature, axes = np.linalg.eigh(self._fronts.curvature[best])
-        lengths = np.sqrt(2 * _AXIS_COST / np.maximum(curvature, 1e-30))
-        return Start(self._fronts.points[best], np.minimum(lengths, _AXIS_LENGTH), axes)
 
 
 def noise_floor(blocks: Sequence[Block]) -> float:

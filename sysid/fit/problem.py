@@ -17,6 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.fit.derivatives import Layout
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.trial import (
     UNNAMED_CAUSE,
@@ -281,6 +282,18 @@ class Problem(ABC):
                 out.append(Block(t, int(c), start, stop, count, float(weights[c]), spread, level))
                 start = stop
         return tuple(out)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """What the free parameters and the residuals concern; a parameter of a trial left out, no trial."""
+        free, places = self.space.free, {trial.name: t for t, trial in enumerate(self.trials)}
+        trials = np.array([places.get(row.trial, -1) for row in free], dtype=np.int64)
+        names = [row.common_name for row in free]
+        kinds = np.array([names.index(name) for name in names], dtype=np.int64)
+        stated = len(self.space.stated)
+        samples = [np.full(block.stop - block.start, block.trial) for block in self.blocks]
+        residuals = np.concatenate([*samples, trials[len(free) - stated :]])
+        return Layout(np.where(trials >= 0, kinds, -1), trials, residuals, stated)
 
     def disturbances(self, cube: FloatArray) -> FloatArray:
         """Return what one standard deviation of each assumed value does to the residuals (K, m).

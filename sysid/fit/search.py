@@ -40,13 +40,14 @@ CMAES_TOLERANCE = 1e-5
 CMAES_SPREAD = 0.01
 # Population of CMA-ES as a finisher; chosen by tests/benchmarks/engine.py.
 FINISH_POPULATION = 64
-# Population of CMA-ES after least squares, and of a search of few parameters: the axes of the cost are known,
-# so a small population has to learn no others.
-ROUGH_POPULATION = 16
-# Generations of the first stage that least squares needs to find its starts.
-FIRST_GENERATIONS = 3
+# Population of CMA-ES after a first stage of few generations: a search of two or three parameters.
+_SMALL_POPULATION = 16
+# Generations that least squares needs to find its starts: at first, and where more was left than noise.
+_GENERATIONS = (3, 8)
 # Cumulative share of the budget that each non-final stage may use [1], without and with least squares.
-_SHARES, _FAST_SHARES = (0.6,), (0.3, 0.5, 0.8)
+_SHARES, _FAST_SHARES = (0.6, 0.8), (0.3, 0.5, 0.7)
+# Number of the stage of least squares after which another attempt may follow.
+_TRIED = 1
 # Reasons that end a stage before its time: resumed, it starts again.
 _CUT = get_args(CutReason)
 # Polling interval for Ctrl-C [s].
@@ -108,6 +109,11 @@ class _Run:
     # Generation of the lowest cost, in the form of a one-generation stage.
     best: StageHistory | None = None
 
+    @property
+    def fast(self) -> bool:
+        """Whether the search is a few generations and least squares."""
+        return "least-squares" in self.settings.stages
+
     def history(self) -> RunHistory:
         seed = run_seeds(self.settings)[self.run]
         space = self.objective.space
@@ -135,18 +141,18 @@ class _Run:
             else:
                 if name == "least-squares":
                     population = 0
-                    bred: Breeder = LeastSquares(self.objective, stages[-1].cube[-1], stages[-1].cost[-1])
+                    found = stages[-1].cube[-1], stages[-1].cost[-1]
+                    bred: Breeder = LeastSquares(self.objective, *found, whole=number > _TRIED)
                 else:
-                    small = self.first_generations or (start is not None and start.axes is not None)
-                    finishing = ROUGH_POPULATION if small else FINISH_POPULATION
+                    finishing = _SMALL_POPULATION if self.first_generations else FINISH_POPULATION
                     searching = name == self.settings.algorithm
                     population = self.settings.population if searching else finishing
                     child = np.random.SeedSequence(seed, spawn_key=(number,))
-                    own = seed if searching else int(child.generate_state(1, np.uint32)[0])
+                    own = seed if searching and not number else int(child.generate_state(1, np.uint32)[0])
                     if start is not None:
                         start = replace(start, mean=start.mean[:n_found], spread=start.spread[:n_found])
                     bred = Keeping(breeder(name, n_found, population, own, start), kept_values)
-                stage = self._bred(name, bred, self._limits(name, number, population))
+                stage = self._bred(name, bred, self._limits(name, number, population, last=not left))
                 start = bred.start()
                 if stage.stop_reason in _CUT:
                     cut = stage.stop_reason
@@ -157,20 +163,17 @@ class _Run:
             self.before += stage.wall_time
             if stage.stop_reason == "interrupted":
                 break
-            if name == "least-squares" and not space.stated:
-                # If more is left than noise, the search goes on as if least squares had not been tried.
-                left += [self.settings.algorithm] * (stage.stop_reason == "unexplained") + ["cmaes"]
+            if stage.stop_reason == "unexplained" and number == _TRIED and self.fast:
+                left += [self.settings.algorithm, "least-squares"]
         # The run was farther when it was killed or stopped before.
         if cut and self.best is not None and self.best.cost.min() < min(stage.cost.min() for stage in stages):
             stages.append(replace(self.best, stop_reason=cut))
         return RunHistory(seed, tuple(stages))
 
-    def _limits(self, name: str, number: int, population: int) -> SearchSettings:
+    def _limits(self, name: str, number: int, population: int, last: bool) -> SearchSettings:
         """Return when a stage ends; of the run's budgets all stages but the last get a share."""
-        fast = self.settings.finish == "least-squares"
-        stated = bool(self.objective.space.stated)
-        last = name == "least-squares" if stated else name == "cmaes" or len(self.settings.stages) == 1
-        share = 1.0 if last else (_FAST_SHARES if fast or stated else _SHARES)[number]
+        last &= not self.fast or number > _TRIED
+        share = 1.0 if last else (_FAST_SHARES if self.fast else _SHARES)[number]
         limits = replace(self.settings.of_a_run(), time_limit=None)
         if limits.max_evaluations is not None:
             limits = replace(limits, max_evaluations=int(share * limits.max_evaluations))
@@ -183,8 +186,8 @@ class _Run:
             limits = replace(
                 limits, stop_reading="relative", stop_window=window, stop_tolerance=CMAES_TOLERANCE
             )
-        elif number == 0 and (first := self.first_generations or FIRST_GENERATIONS * fast):
-            limits = replace(limits, max_generations=min(limits.max_generations, first))
+        elif few := self.first_generations or self.fast * _GENERATIONS[number // 2]:
+            limits = replace(limits, max_generations=min(limits.max_generations, few))
         return limits
 
     def _bred(self, name: str, bred: Breeder, limits: SearchSettings) -> StageHistory:

@@ -63,8 +63,8 @@ def linearize(problem: Problem, start: FloatArray) -> Linearized:
     for _ in range(_ROUNDS):
         before = linear
         solved = solve(
-            problem, linear.point[None], linear.scale, linear.jacobian.steps,
-            tolerance=linear.tolerance, iterations=20,
+            problem, linear.point[None], linear.scale, rise=linear.jacobian.rise,
+            curvature=linear.information.curvature, tolerance=linear.tolerance, iterations=20,
         )  # fmt: skip
         linear = _linearized(problem, solved.points[0])
         moved = np.abs(linear.point - before.point) / np.maximum(before.information.sigma, 1e-12)
@@ -112,7 +112,8 @@ def refit(
 
     def walked(starts: FloatArray, weights: FloatArray, iterations: int) -> Solved:
         return solve(
-            problem, starts, linear.scale, linear.jacobian.steps, tolerance=tolerance, iterations=iterations,
+            problem, starts, linear.scale, rise=linear.jacobian.rise,
+            curvature=linear.information.curvature, tolerance=tolerance, iterations=iterations,
             kept=linear.kept(problem.space),
             weights=lambda part: trial_rows(problem.blocks, weights[part], len(linear.scale)),
         )  # fmt: skip

@@ -30,6 +30,7 @@ from scipy.stats import chi2
 from sysid.errors import FitError
 from sysid.fit.adequacy import EXPLAINED_BY, adequacy
 from sysid.fit.kind import Term
+from sysid.fit.least_squares import RISE
 from sysid.fit.problem import Problem
 from sysid.fit.trial import nrmse_of
 from sysid.journal import Say
@@ -238,7 +239,7 @@ class Climber:
         # What the campaign states is left out with no trial.
         weights_of = np.pad(1.0 - left, ((0, 0), (0, len(residuals) - left.shape[1])), constant_values=1.0)
         solved = solve(
-            problem, np.repeat(point[None], count, axis=0), scale,
+            problem, np.repeat(point[None], count, axis=0), scale, rise=RISE,
             weights=lambda part: weights_of[part],
             tolerance=TOLERANCE, iterations=_ITERATIONS_WITHOUT,
         )  # fmt: skip

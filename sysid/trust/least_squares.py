@@ -38,8 +38,9 @@ def solve(
     problem: Problem,
     starts: FloatArray,
     scale: FloatArray,
-    steps: FloatArray | None = None,
     *,
+    rise: float,
+    curvature: FloatArray | None = None,
     fixed: BoolArray | None = None,
     kept: FloatArray | None = None,
     weights: Callable[[slice], FloatArray] | None = None,
@@ -48,8 +49,7 @@ def solve(
 ) -> Solved:
     """Minimize the sum of squares of residuals times `scale` (m,) from `starts` (F, n) [unit cube].
 
-    `steps` (n,) are those of the difference Jacobian [unit cube], by default from the curvature of a sum of
-    squares near 1. Coordinates that are `fixed` (F, n) keep their value; `kept` as for `descend`.
+    `rise`, `fixed` (F, n) and `kept` as for `descend`; `curvature` (n, n) of the sum at the starts, if known.
     `weights` returns, for a slice of the fronts, further factors (F', m) on the squares of residuals. A front
     has converged when a step takes less than the `tolerance` off its sum of squares.
     """
@@ -57,13 +57,13 @@ def solve(
     if fixed is None:
         fixed = np.zeros(starts.shape, dtype=np.bool_)
     share = max(1, int(_MEMORY / (8 * len(scale) * (4 * n + 4))))
-    ended, evaluations = Fronts.at(starts), 0
+    ended, evaluations = Fronts.at(starts, curvature), 0
     for first in range(0, n_fronts, share):
         part = slice(first, min(first + share, n_fronts))
         factor = np.ones((part.stop - part.start, 1)) if weights is None else weights(part)
         walk = descend(
-            ended.part(part), _Squares(np.sqrt(factor) * scale), steps=steps, fixed=fixed[part], kept=kept,
-            tolerance=tolerance, iterations=iterations,
+            ended.part(part), _Squares(np.sqrt(factor) * scale), problem.layout, rise=rise,
+            fixed=fixed[part], kept=kept, tolerance=tolerance, iterations=iterations,
         )  # fmt: skip
         evaluations += drive(walk, problem.residuals)
     return Solved(ended.points, ended.cost, ended.converged, evaluations)

@@ -25,14 +25,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sysid.errors import FitError
+from sysid.fit.derivatives import displaced
 from sysid.fit.least_squares import LEAST_NRMSE
 from sysid.fit.problem import Problem
 from sysid.fit.trial import Block
 from sysid.types import BoolArray, FloatArray
 
-# Difference steps of a Jacobian [unit cube]: first step, least and largest later step.
-_FIRST, _LEAST, _LARGEST = 2e-3, 5e-4, 0.05
-# Later step over the parameter's standard deviation when all other parameters are known [1].
+# Displacement of a difference quotient, over the distance at which the cost rises by one deviation [1].
 _SHARE = 2.0
 # Largest relative change of a derivative when its step is halved with which the derivative is trusted [1].
 TRUSTED = 0.1
@@ -65,12 +64,13 @@ def trial_rows(blocks: Sequence[Block], weights: FloatArray, size: int) -> Float
 class Jacobian:
     """Derivatives of weighted residuals at one point.
 
-    `values` (m, n) are extrapolated to step 0 (Richardson) where both steps agree [1/unit cube]. `steps` (n,)
-    are the larger ones [unit cube]. `doubt` (n,) is the change of the derivative when the step is halved [1].
+    `values` (m, n) are extrapolated to step 0 (Richardson) where both steps agree [1/unit cube]. The cost
+    rises by about `rise` along the larger ones [1]. `doubt` (n,) is the change of the derivative when the
+    step is halved [1].
     """
 
     values: FloatArray
-    steps: FloatArray
+    rise: float
     doubt: FloatArray
 
     @property
@@ -82,25 +82,35 @@ class Jacobian:
 def jacobian(problem: Problem, point: FloatArray, scale: FloatArray, noise: float = 1.0) -> Jacobian:
     """Return the derivatives at a point (n,) of the unit cube, ``J = (4 J(h/2) - J(h))/3``.
 
-    `scale` (m,) weights the residuals, see `scales`. The steps follow from `noise`, the
-    standard deviation of a weighted residual [1]: smaller differences are lost in the integration's error.
+    `scale` (m,) weights the residuals, see `scales`. The steps follow from `noise`, the standard deviation
+    of a weighted residual [1]: smaller differences are lost in the integration's error. They go along the
+    principal axes of the curvature, see `sysid.fit.derivatives`.
     """
-    first = _differences(problem, point, scale, np.full(len(point), _FIRST))
-    steps = np.clip(_SHARE * noise / np.maximum(np.linalg.norm(first, axis=0), 1e-30), _LEAST, _LARGEST)
-    coarse = _differences(problem, point, scale, steps)
-    fine = _differences(problem, point, scale, steps / 2)
+    rise = (_SHARE * noise) ** 2
+    first = _differences(problem, point, scale, np.zeros((len(point), len(point))), rise)
+    coarse = _differences(problem, point, scale, first.T @ first, rise)
+    curvature = coarse.T @ coarse
+    coarse, fine = (_differences(problem, point, scale, curvature, rise, share) for share in (1.0, 0.5))
     # The error of a central difference goes with h²: halving the step takes three quarters of it away.
     doubt = np.linalg.norm(fine - coarse, axis=0) / np.maximum(np.linalg.norm(fine, axis=0), 1e-30)
-    return Jacobian(np.where(doubt < 3 * TRUSTED, (4 * fine - coarse) / 3, fine), steps, doubt)
+    return Jacobian(np.where(doubt < 3 * TRUSTED, (4 * fine - coarse) / 3, fine), rise, doubt)
 
 
-def _differences(problem: Problem, point: FloatArray, scale: FloatArray, steps: FloatArray) -> FloatArray:
+def _differences(
+    problem: Problem,
+    point: FloatArray,
+    scale: FloatArray,
+    curvature: FloatArray,
+    rise: float,
+    share: float = 1.0,
+) -> FloatArray:
     """Return central differences (m, n) of the weighted residuals; one-sided at the cube's faces."""
     n = len(point)
-    points = np.tile(point, (2 * n + 1, 1))
-    points[1 : n + 1][np.diag_indices(n)] = np.minimum(point + steps, 1.0)
-    points[n + 1 :][np.diag_indices(n)] = np.maximum(point - steps, 0.0)
-    values, failed = problem.residuals(points)
+    every = np.ones(n, dtype=np.bool_)
+    moves = displaced(
+        point, curvature, problem.layout, asked=every, still=~every, rise=rise, central=True, share=share
+    )
+    values, failed = problem.residuals(np.concatenate([point[None], moves.points]))
     if failed[0]:
         causes = problem.score(problem.space.full(point[None])).cause[0]
         lost = [
@@ -112,13 +122,5 @@ def _differences(problem: Problem, point: FloatArray, scale: FloatArray, steps: 
             f"{', '.join(lost)}: cannot be simulated at the values that are judged; check the masses, "
             "lengths and units that the campaign states"
         )
-    values = values * scale
-    out = np.zeros((values.shape[1], n))
-    for i in range(n):
-        high, low = 1 + i, 1 + n + i
-        # The centre replaces a point that cannot be simulated.
-        high, low = (0 if failed[high] else high), (0 if failed[low] else low)
-        width = points[high, i] - points[low, i]
-        if width > 0:
-            out[:, i] = (values[high] - values[low]) / width
-    return out
+    columns, _ = moves.columns(values[0], values[1:], failed[1:], np.zeros((n, values.shape[1])))
+    return (columns * scale).T

@@ -90,7 +90,7 @@ class _Side:
 
 def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profiles:
     """Walk every parameter of which nothing is stated outward; `seed` is for CMA-ES where costs are rough."""
-    best, scale, steps, info = linear.point, linear.scale, linear.jacobian.steps, linear.information
+    best, scale, info = linear.point, linear.scale, linear.information
     n, found, kept = len(best), len(problem.space.found), linear.kept(problem.space)
     values, _ = problem.residuals(best[None])
     lowest = float(np.sum((values[0] * scale) ** 2))
@@ -116,8 +116,9 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
             starts[f] = _next(side, best, unit, tangent, np.sqrt(max(rise, 0.0)))
             fixed[f, side.parameter] = True
         solved = solve(
-            problem, starts, scale, steps, fixed=fixed, kept=kept, tolerance=linear.tolerance, iterations=6
-        )
+            problem, starts, scale, rise=linear.jacobian.rise, curvature=info.curvature, fixed=fixed,
+            kept=kept, tolerance=linear.tolerance, iterations=6,
+        )  # fmt: skip
         evaluations += solved.evaluations
         for f, side in enumerate(moving):
             i = side.parameter
@@ -126,7 +127,7 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
             aimed = (abs(point[i] - best[i]) / unit[i]) ** 2
             bumped = (squares - last) / info.inflation[i] > max(_BUMP, 2.0 * aimed)
             if not np.isfinite(squares) or (bumped and not solved.converged[f]):
-                around = np.clip(3 * steps, 1e-3, 0.05)
+                around = np.clip(3 * unit, 1e-3, 0.05)
                 again, lower, spent = search_around(
                     problem, starts[f], around, scale, fixed[f], seed + 2 * i + (side.sign > 0)
                 )

@@ -37,7 +37,7 @@ def starting_point(problem: Problem, wider: Problem, values: Mapping[str, float]
 def downhill(problem: Problem, starts: FloatArray) -> tuple[FloatArray, int]:
     """Walk from starts (F, n) [unit cube] to the least mean NRMSE; return where, and the simulated points."""
     fronts = Fronts.at(np.unique(starts, axis=0))
-    walk = descend(fronts, MeanNrmse(problem), tolerance=TOLERANCE, iterations=_ITERATIONS)
+    walk = descend(fronts, MeanNrmse(problem), problem.layout, tolerance=TOLERANCE, iterations=_ITERATIONS)
     evaluations = drive(walk, problem.residuals)
     fronts.sort()
     return fronts.points[0].copy(), evaluations

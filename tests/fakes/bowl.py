@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sysid.fit.problem import Problem
 from sysid.fit.search import run_one
 from sysid.fit.settings import SearchSettings
 from sysid.fit.trial import UNNAMED_CAUSE, Block, Evaluation, Trial
@@ -63,6 +64,8 @@ class Decay(Bowl):
 
     `rough` adds dents to the residuals in which derivatives mean nothing. The point (0.2, 0.5, 0.8) is right.
     """
+
+    layout = Problem.layout
 
     def __init__(self, rough=0.0):
         super().__init__(trials=())

@@ -201,7 +201,7 @@ def test_least_squares_on_a_cluster_gives_the_same_numbers(tmp_path):
     with cluster(tmp_path, 2) as (where, _):
         found = run_many(computed_by(Decay(), where), settings, at_once=2)
     assert_same_runs(found, run_many(Decay(), settings))
-    assert all([s.algorithm for s in run.stages] == ["ga", "least-squares", "cmaes"] for run in found)
+    assert all([s.algorithm for s in run.stages] == ["ga", "least-squares"] for run in found)
 
 
 @pytest.mark.slow

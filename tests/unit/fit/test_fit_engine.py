@@ -147,13 +147,11 @@ def test_finisher_starts_from_mean_and_spread_and_reaches_the_bottom():
     assert len(paper.stages) == 1
 
 
-def test_least_squares_and_a_short_cmaes_reach_the_bottom():
+def test_least_squares_reaches_the_bottom():
     settings = SearchSettings(population=40, runs=1, seed=3)
     run = run_one(Decay(), settings)
-    first, second, third = run.stages
+    first, second = run.stages
     assert (first.algorithm, first.stop_reason, len(first.cost)) == ("ga", "generations", 3)
-    assert third.algorithm == "cmaes"
-    assert third.cube.shape[1] == 16
     assert (second.algorithm, second.stop_reason) == ("least-squares", "converged")
     assert np.all(np.abs(run.best_point - Decay().target) < 0.02)
     # The bottom: no neighbour scores less, and every run ends in the same place.
@@ -164,18 +162,7 @@ def test_least_squares_and_a_short_cmaes_reach_the_bottom():
         assert abs(other.best[-1] / run.best[-1] - 1) < 1e-5
     # What a candidate cost is what the objective says, also in the first part of the window.
     np.testing.assert_array_equal(Decay().evaluate(second.cube[4]).cost, second.cost[4])
-    assert second.cost.min() < (1 + 1e-6) * run.best[-1]
-    assert run.evaluations < 1500
-
-
-def test_cmaes_follows_least_squares_where_the_cost_is_rough():
-    run = run_one(Decay(rough=0.01), SearchSettings(population=40, runs=1, seed=3))
-    assert [stage.algorithm for stage in run.stages] == ["ga", "least-squares", "cmaes"]
-    assert run.stages[2].cost.min() < run.stages[1].cost.min()
-    # Among the dents, it is as good as the smooth bottom.
-    smooth = run_one(Decay(), SearchSettings(population=40, runs=1, seed=3))
-    assert run.best[-1] < Decay(rough=0.01).evaluate(smooth.best_point[None]).cost[0]
-    assert run.best[-1] < 1.05 * smooth.best[-1]
+    assert run.evaluations < 700
 
 
 def test_least_squares_leaves_fronts_that_fail_and_bounds_that_hold():
@@ -186,7 +173,7 @@ def test_least_squares_leaves_fronts_that_fail_and_bounds_that_hold():
             return Evaluation(np.full(len(cube), 15.0), np.ones(len(cube), bool), len(cube)), residuals
 
     run = run_one(Fails(), SearchSettings(population=16, runs=1, seed=1, max_generations=30))
-    assert [stage.algorithm for stage in run.stages] == ["ga", "least-squares", "ga", "cmaes"]
+    assert [stage.algorithm for stage in run.stages] == ["ga", "least-squares"] * 2
     assert run.stages[1].stop_reason == "unexplained"
     assert run.best[-1] == 15.0
     outside = Decay()
@@ -195,14 +182,13 @@ def test_least_squares_leaves_fronts_that_fail_and_bounds_that_hold():
     assert run.best_point[1] == 1.0
 
 
-def test_a_wrong_model_is_searched_as_if_least_squares_had_not_been_tried():
+def test_a_wrong_model_ends_where_cmaes_ends():
     wrong = Decay()
     wrong.measured = wrong.measured + 0.2 * np.sin(9 * wrong.trials[0].time)
     settings = SearchSettings(population=40, runs=1, seed=3)
     run, plain = run_one(wrong, settings), run_one(wrong, replace(settings, finish="cmaes"))
-    assert run.stages[1].stop_reason == "unexplained"
-    np.testing.assert_array_equal(run.stages[2].cube, plain.stages[0].cube)
-    assert run.best[-1] <= plain.best[-1] * (1 + 1e-6)
+    assert run.best[-1] <= plain.best[-1] * (1 + 1e-4)
+    assert run.evaluations < 0.5 * plain.evaluations
 
 
 def test_runs_at_once_give_the_same_numbers():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from sysid.fit.problem import Problem
 from sysid.fit.trial import Block, NoiseModel, Trial, nrmse_of
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trust.assessment import Assessment, assess, bootstrap, leave_one_out, linearize, refit
@@ -38,6 +39,7 @@ class Linear:
     common = 0
     remedy = ""
     small = 0.0
+    layout = Problem.layout
 
     def only(self, names):
         kept = [self.names.index(name) for name in names]
@@ -219,7 +221,8 @@ def test_richardson_takes_the_cubic_error_away():
     point = np.array([0.5, 0.4])
     exact = np.concatenate(designs)[:, :, 0] * problem.space.decode(point) * np.log(100.0)
     found = jacobian(problem, point, scale, 1.0)
-    step = found.steps[0] * np.log(100.0)
+    # The longest displacement, 0.05 of the cube.
+    step = 0.05 * np.log(100.0)
     # Central differences of an exponential err by h²/6; what is left is of the order h⁴.
     error = np.abs(found.values - exact).max() / np.abs(exact).max()
     assert error < 0.02 * step**2 / 6
@@ -252,16 +255,15 @@ def test_fronts_do_not_depend_on_their_neighbours():
     problem = Linear(*_white())
     scale = np.ones(problem.blocks[-1].stop)
     starts = np.array([[0.1, 0.9], [0.5, 0.5], [0.8, 0.2]])
-    steps = np.full(2, 1e-3)
-    together = solve(problem, starts, scale, steps, tolerance=1e-12)
-    alone = solve(problem, starts[1:2], scale, steps, tolerance=1e-12)
+    together = solve(problem, starts, scale, rise=1e-6, tolerance=1e-12)
+    alone = solve(problem, starts[1:2], scale, rise=1e-6, tolerance=1e-12)
     assert together.points[1] == pytest.approx(alone.points[0], abs=1e-9)
 
 
 def test_fixed_coordinates_stay():
     problem = Linear(*_white())
     fixed, start, ones = np.array([[True, False]]), np.array([[0.3, 0.5]]), np.ones(problem.blocks[-1].stop)
-    found = solve(problem, start, ones, np.full(2, 1e-3), fixed=fixed)
+    found = solve(problem, start, ones, rise=1e-6, fixed=fixed)
     assert found.points[0, 0] == 0.3
     point, squares, spent = search_around(problem, start[0], np.full(2, 0.1), ones, fixed[0], 1)
     assert point[0] == 0.3
@@ -366,7 +368,7 @@ def test_a_step_that_overshoots_is_no_convergence():
     designs, data = _white(n_par=1)
     problem = Linear(designs, data, scale="log")
     start = problem.space.encode(np.array([0.11]))
-    found = solve(problem, start[None], problem.scaled(), np.full(1, 1e-3), tolerance=1e-6, iterations=30)
+    found = solve(problem, start[None], problem.scaled(), rise=1e-6, tolerance=1e-6, iterations=30)
     assert found.converged.all()
     # 600 samples of noise 0.1 on regressors of size 0.5 fix the factor 1 to under a percent.
     assert problem.space.decode(found.points[0])[0] == pytest.approx(1.0, abs=0.03)
@@ -382,8 +384,8 @@ def test_at_a_bound_the_others_find_their_own_minimum():
     exact = lsq_linear(a, y, bounds=(0.0, 2.0)).x
     assert np.min(np.abs(exact)) < 1e-6
     # One step of a linear model, damped by 1e-4: a step that is merely cut at the bound ends 0.1 away.
-    start, steps = np.full((1, 2), 0.5), np.full(2, 1e-3)
-    found = solve(problem, start, problem.scaled(), steps, tolerance=1e-9, iterations=1)
+    start = np.full((1, 2), 0.5)
+    found = solve(problem, start, problem.scaled(), rise=1e-6, tolerance=1e-9, iterations=1)
     assert problem.space.decode(found.points[0]) == pytest.approx(exact, abs=5e-3)
 
 
