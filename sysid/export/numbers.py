@@ -77,6 +77,12 @@ def _curve(quantity: str, power: int) -> Callable[[FirstOrderRotor], float]:
     return lambda r: r.parameters[row] * _RPM**power
 
 
+def _spin(rotor: FirstOrderRotor) -> tuple[float, float]:
+    """Return MOT_SPIN_MIN and MOT_SPIN_MAX [1]."""
+    low, high = rotor.limits
+    return max(_SPIN[0], low), min(_SPIN[1], high)
+
+
 _AIR = "0: not identified, it acts on a moving drone, and the air of a bench stands still"
 _UP = "lag nearest to the speed after a step up of the command, off by {off:.1f} % of the step (rms)"
 _DOWN = "lag nearest to the speed after a step down, off by {off:.1f} % of the step (rms)"
@@ -148,8 +154,9 @@ TARGETS: Mapping[str, Format] = {
         "1\t1\t{name}\t{value}\t9",
         "# {}",
         (
-            Number("THR_MDL_FAC", "1", _CURVE.format("THR_MDL_FAC") + "allowed are 0 to 1",
-                   lambda r: r.expo(least=0.0)[0], lambda r: r.expo(least=0.0)[1]),
+            Number("THR_MDL_FAC", "1", _CURVE.format("THR_MDL_FAC") + "x is 0 at {low:.3g} % and 1 at "
+                   "{high:.3g} % of it (minimum and maximum of the PWM output); allowed are 0 to 1",
+                   lambda r: r.expo(*r.limits, least=0.0)[0], lambda r: r.expo(*r.limits, least=0.0)[1]),
             Number("CA_ROTOR0_CT", "N", "thrust = CT u² at full command u = 1; the same for every rotor",
                    lambda r: r.maximum_thrust),
             Number("CA_ROTOR0_KM", "m", "drag torque = KM thrust; negative for rotors that turn clockwise",
@@ -163,9 +170,11 @@ TARGETS: Mapping[str, Format] = {
         "# {}",
         (
             Number("MOT_THST_EXPO", "1", _CURVE.format("MOT_THST_EXPO") + "x is 0 at MOT_SPIN_MIN and 1 at "
-                   "MOT_SPIN_MAX", lambda r: r.expo(*_SPIN)[0], lambda r: r.expo(*_SPIN)[1]),
-            Number("MOT_SPIN_MIN", "1", "ArduPilot's default; MOT_THST_EXPO holds for it", _SPIN[0]),
-            Number("MOT_SPIN_MAX", "1", "ArduPilot's default; MOT_THST_EXPO holds for it", _SPIN[1]),
+                   "MOT_SPIN_MAX", lambda r: r.expo(*_spin(r))[0], lambda r: r.expo(*_spin(r))[1]),
+            Number("MOT_SPIN_MIN", "1", f"ArduPilot's default, or where thrust begins {_X} if that is higher",
+                   lambda r: _spin(r)[0]),
+            Number("MOT_SPIN_MAX", "1", "ArduPilot's default, or from where on thrust does not rise any more "
+                   f"{_X}", lambda r: _spin(r)[1]),
         ),
     ),
 }  # fmt: skip
@@ -351,13 +360,14 @@ def numbers_for(
         elif times and "lag nearest" in law:
             law = "median over the steps of the logs, which show it without the model"
         else:
-            law = law.format(off=100.0 * number.error(rotor))
+            first, last = (100.0 * end for end in rotor.limits)
+            law = law.format(off=100.0 * number.error(rotor), low=first, high=last)
         wide = not why and not open_end and low + high > 0.0
         pair = (value - math.sqrt(low), value + math.sqrt(high)) if wide else None
         rows.append(Given(number.name, number.unit, value, pair, law, why))
     if all(row.why_not or not callable(number.value) for row, number in zip(rows, form.numbers, strict=True)):
         raise ExportError(f"{sets.name}, set {rank}: {rows[0].why_not}")
-    notes = _notes(sets, rotor, supply)
+    notes = (*_notes(sets, rotor, supply), *_limited(form, rotor, supply))
     return TargetNumbers(target, sets.name, rank, tuple(rows), _check(form, rotor, mass), notes)
 
 
@@ -455,6 +465,21 @@ def _check(form: Format, rotor: FirstOrderRotor, mass: float | None) -> str:
     return (
         f"{out} and hover {mass:g} kg at {100.0 * math.sqrt(share):.0f} % of that speed and "
         f"{100.0 * share:.0f} % of that thrust."
+    )
+
+
+def _limited(form: Format, rotor: FirstOrderRotor, law: Mapping[str, Any]) -> Iterator[str]:
+    """Yield where the supply ends the rise of the thrust, and what a stiff supply would make of the curve."""
+    curve = next((number for number in form.numbers if _X in number.law), None)
+    _, high = rotor.limits
+    if curve is None or high == 1.0:
+        return
+    u, speed, ratio = np.array([level for level in law["measured"] if level[0] <= high]).T
+    stiff = FirstOrderRotor(rotor.parameters, np.column_stack([u, speed / ratio]))
+    yield (
+        f"The supply limits the speed above {100 * high:.3g} % of the command, where it does not rise any "
+        f"more: curves over the command end there, so limit the output there. {curve.name} has the supply's "
+        f"sag inside; with a voltage that stays it would be about {_value(curve, stiff):.2g}."
     )
 
 

@@ -32,6 +32,8 @@ WORDS = {EXPLAINED_BY: "explained", ROUGHLY_BY: "roughly explained", NOT_BY: "no
 _ERRORS = 4.0
 # Multiple of the noise's standard deviation that a systematic mean residual exceeds [1].
 _OF_NOISE = 0.5
+# Share of the NRMSE that errors of the measured inputs explain from which on it is told [1].
+_SHOWS = 0.05
 # Autocorrelation of the noise below which two samples count as independent [1].
 _APART = 0.1
 
@@ -297,11 +299,11 @@ def scores_in_words(nrmse: float, floor: float, ratio: float) -> str:
     """Return the NRMSE of the best set beside the noise; numbers as in `Adequacy`.
 
     The ratio is without what errors of the measured inputs (curves, tares, starts) explain; where that part
-    shows, so is the NRMSE without.
+    is 5 % or more, so is the NRMSE without.
     """
-    whole, left = f"{100 * nrmse:.2f} %", f"{100 * ratio * floor:.2f} %"
-    explained = "" if left == whole else f", {left} without what errors of the measured inputs explain"
-    return beside_noise(f"{whole}{explained}", floor)
+    shows = ratio * floor < (1.0 - _SHOWS) * nrmse
+    explained = ", {:.2f} % without what errors of the measured inputs explain" if shows else ""
+    return beside_noise(f"{100 * nrmse:.2f} %{explained.format(100 * ratio * floor)}", floor)
 
 
 def _sentence(judged: Adequacy, at_bound: Sequence[str], remedy: str) -> str:

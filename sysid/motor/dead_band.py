@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TypedDict
+from typing import ClassVar, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,12 @@ class SaturationFit:
     nrmse: FloatArray
     without: FloatArray
     evaluations: int
+    by_set: ClassVar = ("values", "at_bound", "nrmse", "without")
+
+    @property
+    def felt(self) -> bool:
+        """Whether the dead band improves the best set's starts from rest; reversals are believed anyhow."""
+        return self.shown_by == "reversals" or bool(self.nrmse[0] < (1.0 - _LIMIT) * self.without[0])
 
     def document(self) -> dict[str, object]:
         """Return what a result states of the stage."""
@@ -120,11 +126,16 @@ def fit_saturation(
         ideal = replace(objective, ideal_reversal=True)
         without.append(float(ideal.evaluate(run.best_point[None]).cost[0]))
         count += run.evaluations
-    shown_by = "reversals" if trials[0].entry.direction == "reversal" else "starts_from_rest"
-    return SaturationFit(
-        objective.space.free, tuple(t.entry.name for t in trials), shown_by, np.array(values),
-        np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,
-    )  # fmt: skip
+        shown_by = "reversals" if trials[0].entry.direction == "reversal" else "starts_from_rest"
+        fit = SaturationFit(
+            objective.space.free, tuple(t.entry.name for t in trials), shown_by, np.array(values),
+            np.array(flags, dtype=np.int8), np.array(costs), np.array(without), count,
+        )  # fmt: skip
+        if not fit.felt:
+            # The same values serve all sets, for none of which they count.
+            every = {name: np.repeat(getattr(fit, name), len(rows), axis=0) for name in fit.by_set}
+            return replace(fit, **every | {"at_bound": 0 * every["at_bound"]})
+    return fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,14 +157,21 @@ def band_profiles(problem: MotorProblem, row: FloatArray, fit: SaturationFit) ->
 
     `row` (n_table,) is a set with its dead band [SI]. The other number is tried around the fitted ratio
     Ω_min/I_sat, which a reversal determines best, and over all its bounds, for edges so low that no current
-    matters. One that the stage did not free keeps its value.
+    matters. One that the stage did not free keeps its value. A dead band that is not felt is open.
     """
     free = {parameter.name: parameter for parameter in fit.free if parameter.name in SATURATION}
     table, bench = problem.space.table, problem.bench
     space = SearchSpace(table, (), unpack(row, table))
     objective = MotorProblem.build(problem.campaign, space, bench, bench.banded, problem.threads)
-    out = {}
+    out: dict[str, BandProfile] = {}
     for name, walked in free.items():
+        if not fit.felt:
+            ends_of = np.array([walked.lower, walked.upper])
+            both = np.repeat(fit.without[:1], 2)
+            out[name] = BandProfile(
+                ends_of, both, (walked.lower, walked.upper), (True, True), verdict(np.inf)
+            )
+            continue
         best = float(row[table.index[name]])
         near = np.clip(best * np.geomspace(0.7, 1 / 0.7, _NEAR), walked.lower, walked.upper)
         values = np.unique(np.append(np.geomspace(walked.lower, walked.upper, _EDGES), near))

@@ -173,8 +173,7 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         found.cost[order], found.values[order], found.at_bound[order],
     )  # fmt: skip
     if band is not None:
-        per_set = ("values", "at_bound", "nrmse", "without")
-        band = replace(band, **{name: getattr(band, name)[order] for name in per_set})
+        band = replace(band, **{name: getattr(band, name)[order] for name in band.by_set})
     given = set(SATURATION) <= {*bench.measured, *campaign.parameters.fixed}
     if cut is None:
         settings = _findings(problem, rows[0], band, given)
@@ -298,13 +297,19 @@ def _about_saturation(
         f"{best['saturation_speed']:.3g} rad/s; NRMSE there {100 * band.without[0]:.2f} % without, "
         f"{100 * band.nrmse[0]:.2f} % with it"
     )
-    if problem.bench.banded[0].entry.direction != "reversal":
+    if not band.felt:
+        notice(
+            "dead-band-not-felt",
+            f"{parts} of {trials} are as good without a dead band: nothing shows {' and '.join(SATURATION)}; "
+            "add a reversal trial of use = 'fit' where the controller reverses",
+        )
+    elif band.shown_by != "reversals":
         notice(
             "dead-band-from-starts",
             "only starts from rest show the dead band, so it does not describe a controller that reverses in "
             "another way; add a reversal trial of use = 'fit'",
         )
-    if {*SATURATION} <= {*profiles}:
+    if band.felt and {*SATURATION} <= {*profiles}:
         low, high = profiles[SATURATION[1]].interval
         if high > _WIDE * low:
             notice(

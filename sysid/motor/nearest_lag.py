@@ -30,6 +30,9 @@ _LENGTH, _SAMPLES = 0.6, 601
 _BOUNDS = (1e-4, 1.0)
 # Commands at which a curve of thrust over command is compared with a flight controller's.
 _LEVELS = 201
+# Share of the largest speed by which the speed still rises above a level at which thrust is limited [1]: half
+# of it is what load cells tell apart.
+_LIMITED = 0.005
 
 
 class FirstOrderRotor:
@@ -118,6 +121,21 @@ class FirstOrderRotor:
     def reverse_thrust_constant(self) -> float:
         """Thrust over squared speed in reverse [N·s²/rad²]."""
         return self._nearest("thrust", "reverse", self.reverse_maximum_speed)[0]
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Commands at which thrust begins and from which on it does not rise any more [1].
+
+        A controller starts above none, and a supply may end the rise below full command.
+        """
+        if self.levels is None:
+            return 0.0, 1.0
+        u, speed = self.levels.T
+        first, last = (
+            u[max(np.count_nonzero(speed <= 0.0) - 1, 0)],
+            np.argmax(speed >= (1 - _LIMITED) * speed[-1]),
+        )
+        return float(first), 1.0 if last == len(u) - 1 else float(u[last])
 
     def expo(self, low: float = 0.0, high: float = 1.0, least: float = -1.0) -> tuple[float, float]:
         """Return e of ``t = (1 - e) x + e x²``, nearest to the thrust over commands from `low` to `high` [1].

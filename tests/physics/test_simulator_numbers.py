@@ -370,10 +370,10 @@ TIMES = {
 }
 
 
-def stand(law="map", verdict=NOT_BY, **times):
+def stand(law="map", levels=LEVELS, verdict=NOT_BY, **times):
     # Over V/V_ref the levels say how the controller acts, not how fast the rotor turns.
-    scaled = [[u, speed / ratio, 0.0] for u, speed, ratio in LEVELS]
-    forward = {"law": law, "levels": scaled, "measured": LEVELS, "repeats": 0.01}
+    scaled = [[u, speed / ratio, 0.0] for u, speed, ratio in levels]
+    forward = {"law": law, "levels": scaled, "measured": levels, "repeats": 0.01}
     settings = {"supply_law": {"forward": forward}, "stand": {"times": TIMES | times, "calibration": 0.01}}
     settings["command"] = {"minimum": 1000.0, "maximum": 2000.0, "unit": "us"}
     judged = {"verdict": verdict, "sentence": "judged", "nrmse": 0.1, "floor": 0.01, "ratio": 9.0}
@@ -396,15 +396,36 @@ def test_steady_levels_that_are_no_line_are_the_law_of_the_command():
     assert any("beyond the logs, which end at 90 % of it with 690 rad/s" in note for note in notes)
     volts = 0.9 * sets.best["reference_voltage"]
     assert any(f"sags with the load: it has {volts:.4g} V at 90 %" in note for note in notes)
-    force = thrust(rotor.speed(np.linspace(0, 1, 201)), rotor.parameters)
-    (factor,) = (row.value for row in numbers_for(sets, "px4").rows if row.name == "THR_MDL_FAC")
-    x = np.linspace(0, 1, 201)
-    best = min(
-        np.linspace(0, 1, 1001), key=lambda f: np.sum((f * x**2 + (1 - f) * x - force / force[-1]) ** 2)
-    )
-    assert factor == pytest.approx(best, abs=1e-3)
+    # It stands at 10 % of the command.
+    assert numbers_for(sets, "px4").rows[0].value == pytest.approx(_expo(rotor, 0.1, 1.0), abs=1e-3)
     line = numbers_for(stand("line", dead_time=TIMES["time_constant_up"]), "gazebo").to_frame()
     assert line.value["maxRotVelocity"] == pytest.approx(749.8, abs=0.1)
+
+
+def _expo(rotor, low, high):
+    x = np.linspace(0, 1, 201)
+    force = thrust(rotor.speed(low + (high - low) * x), rotor.parameters)
+    share = (force - force[0]) / (force[-1] - force[0])
+    return min(np.linspace(-1, 1, 2001), key=lambda f: float(np.sum((f * x**2 + (1 - f) * x - share) ** 2)))
+
+
+def test_a_supply_that_limits_ends_the_curve_over_the_command():
+    limited = [*LEVELS, [0.95, 690.0, 0.85]]
+    sets = stand("map", limited, dead_time={"value": 0.03, "interval_95": [0.02, 0.04], "steps": 20})
+    rotor = FirstOrderRotor(dict(sets.best), np.array(limited)[:, :2])
+    numbers = numbers_for(sets, "ardupilot")
+    rows = {row.name: row.value for row in numbers.rows}
+    assert (rows["MOT_SPIN_MIN"], rows["MOT_SPIN_MAX"]) == (0.15, 0.9)
+    assert rows["MOT_THST_EXPO"] == pytest.approx(_expo(rotor, 0.15, 0.9), abs=1e-3)
+    # Over the whole range the thrust seems to bend the other way.
+    assert _expo(rotor, 0.15, 0.95) < rows["MOT_THST_EXPO"]
+    # Without sag a command gives more at the top.
+    levels = np.array(LEVELS)
+    stiff = FirstOrderRotor(dict(sets.best), np.column_stack([levels[:, 0], levels[:, 1] / levels[:, 2]]))
+    words = f"with a voltage that stays it would be about {_expo(stiff, 0.15, 0.95):.2g}."
+    (note,) = (note for note in numbers.notes if "limits the speed above 90 %" in note)
+    assert note.endswith(words)
+    assert not any("limits the speed" in note for note in numbers_for(sets, "gazebo").notes)
 
 
 def test_steps_of_the_log_are_the_time_constants_where_the_model_does_not_explain_it():

@@ -56,6 +56,8 @@ def test_ratio_and_nrmse_of_a_verdict_are_of_one_definition():
         == "NRMSE 0.39 %, 0.32 % without what errors of the measured inputs explain (noise alone: 0.39 %)"
     )
     assert scores_in_words(0.083, 0.083, 1.0) == "NRMSE 8.30 % (noise alone: 8.30 %)"
+    # One number where errors of the inputs explain little, or nothing: weights of channels differ.
+    assert scores_in_words(0.0356, 0.0012, 29.8) == "NRMSE 3.56 % (noise alone: 0.12 %)"
 
 
 def test_a_misfit_that_the_mean_hides_is_named_with_its_place(tmp_path):
