@@ -21,8 +21,8 @@ from sysid.types import BoolArray, FloatArray
 
 # Samples of the simulation and of the comparison per period of the stop-band edge of a fast log.
 _SIMULATED, _COMPARED = 10.0, 2.5
-# Step of the simulation of a slow log over its row interval [1], and the limits of that step [s]. The NRMSE of
-# public logs at 121 and 143 Hz is within 0.05 % of its value at a tenth of the step.
+# Step of the simulation of a slow log over its row interval [1], and the limits of that step [s]. The NRMSE
+# of public logs at 121 and 143 Hz is within 0.05 % of its value at a tenth of the step.
 _SLOW_SHARE, _SLOW_GRID = 0.55, (1e-3, 4e-3)
 # Time over which the supply voltage is averaged [s]: its noise is no physics.
 _SUPPLY_MEAN = 0.04
