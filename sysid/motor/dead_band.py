@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, TypedDict
+from typing import Any, ClassVar, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,7 +133,9 @@ def fit_saturation(
         )  # fmt: skip
         if not fit.felt:
             # The same values serve all sets, for none of which they count.
-            every = {name: np.repeat(getattr(fit, name), len(rows), axis=0) for name in fit.by_set}
+            every: dict[str, Any] = {
+                name: np.repeat(getattr(fit, name), len(rows), axis=0) for name in fit.by_set
+            }
             return replace(fit, **every | {"at_bound": 0 * every["at_bound"]})
     return fit
 
