@@ -93,6 +93,8 @@ class Judged(Part):
     verdict: str
     # Reason for which the interval may miss the truth.
     doubt: str | None = None
+    # Value of the campaign whose stated error makes up most of the interval.
+    decided_by: str | None = None
 
     @property
     def low(self) -> float:

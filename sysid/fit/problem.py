@@ -310,7 +310,7 @@ class Problem(ABC):
     @property
     def base(self) -> FloatArray:
         """(n_table,) what the campaign itself knows of every parameter, else the model's default [SI]."""
-        values = {**self.space.table.nominal, **self.stated, **self.space.fixed}
+        values = {**self.space.table.nominal, **self.stated, **self.space.fixed, **self.space.stated}
         return np.array([values[name] for name in self.space.table])
 
     def adopt(self, fit: FitResult, values: FloatArray | None = None) -> FloatArray:

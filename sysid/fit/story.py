@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from types import MappingProxyType
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -18,6 +19,8 @@ class Story(Generic[P]):
 
     # Quantities that trust counts as uncertain besides the noise.
     known_words: str = ""
+    # Key of the campaign by the parameter that it states, where their names differ.
+    keys: Mapping[str, str] = MappingProxyType({})
 
     def __init__(self, problem: P) -> None:
         self.problem = problem

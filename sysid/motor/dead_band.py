@@ -280,5 +280,5 @@ def saturation_space(
     seen = {delay_name(trial.entry.log) for trial in bench.fitted}
     late = {delay_name(trial.entry.log) for trial in bench.banded} - seen
     delays = [row for name, row in table.items() if name in late]
-    fixed = {n: value for n, value in values.items() if n not in PARAMETERS and n not in late}
+    fixed = {n: value for n, value in values.items() if n not in names and n not in late}
     return SearchSpace(table, (*space.free, *delays), {**space.fixed, **fixed})

@@ -23,7 +23,7 @@ from sysid.motor.dead_band import (
     saturation_space,
 )
 from sysid.motor.inertia import spike_inertia
-from sysid.motor.known_values import CONSTANTS, SATURATION, Bench, untested_rows
+from sysid.motor.known_values import CONSTANTS, KEYS, SATURATION, Bench, untested_rows
 from sysid.motor.log_delays import MEAN_SOURCE, averaged, delay_name, log_rows
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
@@ -101,10 +101,15 @@ def begin_fit(problem: MotorProblem) -> None:
     band = saturation_space(campaign, bench, space.table, PARAMETERS.nominal)
     searched = len(bench.fitted)
     late = sum(trial not in bench.fitted for trial in bench.banded) if band is not None else 0
+    free = ", ".join(row.name for row in space.found)
     tell(
         f"{searched} trials to fit, {f'{late} for the dead band, ' if late else ''}"
-        f"{len(bench.trials) - searched - late} to validate; free: {', '.join(space.names)}"
+        f"{len(bench.trials) - searched - late} to validate; free: {free}"
     )
+    if space.stated:
+        tell(
+            f"fitted within their errors as well: {', '.join(KEYS.get(name, name) for name in space.stated)}"
+        )
     for fit in bench.curves.fits:
         tell(curve_sentence(fit))
     for way, tie in bench.laws.items():
@@ -154,6 +159,7 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     direction that was not recorded are NaN.
     """
     campaign, bench, space = problem.campaign, problem.bench, problem.space
+    course = replace(course, sets=_at_stated_scale(problem, course.sets))
     rows = averaged(space, problem.complete(course.sets.values))
     cut, band = course.cut, None
     if cut is None:
@@ -236,6 +242,24 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         settings={**circumstances, **settings},
         cut=cut,
     )
+
+
+def _at_stated_scale(problem: MotorProblem, sets: RankedSets) -> RankedSets:
+    """Return sets with k as stated: torque and speed leave the scale of k², R and L to the statement alone.
+
+    A search that ends early may leave it anywhere.
+    """
+    space, scaled = problem.space, ["winding_resistance", "winding_inductance"]
+    if not problem.one_constant or not {*scaled} <= {row.name for row in space.found}:
+        return sets
+    values, index = sets.values.copy(), space.table.index
+    stated, constant = float(space.stated["back_emf_constant"]), index["back_emf_constant"]
+    values[:, [index[name] for name in scaled]] *= (stated / values[:, [constant]]) ** 2
+    values[:, constant] = stated
+    cube = np.clip(space.encode(values[:, space.columns]), 0.0, 1.0)
+    at_bound = sets.at_bound.copy()
+    at_bound[:, space.columns] = space.at_bound(cube)
+    return replace(sets, cube=cube, values=space.full(cube), at_bound=at_bound)
 
 
 def _findings(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,9 +18,10 @@ from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_c
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.motor.stand import lost_power
-from sysid.motor.static_curves import NoLoadTie, no_load_line, turns
+from sysid.motor.static_curves import MeasuredCurve, NoLoadTie, no_load_line, turns
 from sysid.motor.targets import PreparedTrial, prepare_run
 from sysid.parameters import SearchSpace
+from sysid.stated import Stated, error_of
 from sysid.trials.steady import SteadyPoints
 from sysid.types import Rotation
 
@@ -35,6 +38,8 @@ SATURATION = ("saturation_current", "saturation_speed")
 # Constants of the motor, equal in SI; without one of them torque and speed determine R, L and I_sat only up
 # to a common scale.
 CONSTANTS = ("back_emf_constant", "torque_constant")
+# Key of the campaign by the parameter that it states, where their names differ.
+KEYS = MappingProxyType({"back_emf_constant": "kv"})
 # Largest relative error of a rating that agrees with the logged current [1].
 _SCALE_AGREES = 0.1
 
@@ -60,6 +65,35 @@ class Bench:
     def laws(self) -> dict[Rotation, NoLoadTie]:
         """Supply laws from loaded levels of logged commands, by direction."""
         return self.curves.ties if all(trial.log.commanded for trial in self.fitted) else {}
+
+    @cached_property
+    def measured_curves(self) -> tuple[MeasuredCurve, ...]:
+        """Curves of logs under `[curves]`: those of the trials' own levels measure nothing beside them."""
+        named = {(log.table, log.entry.direction) for log in self.curves.logs}
+        out = []
+        for fit in self.curves.fits:
+            table = "no_load" if fit.quantity == "no_load" else "static"
+            if fit.quantity != "thrust" and (table, fit.direction) in named:
+                reach = self.curves.loaded[fit.direction].speed if table == "static" else np.ones(1)
+                top = float(np.max(np.abs(reach))) * (1.0 if fit.direction == "forward" else -1.0)
+                out.append(MeasuredCurve.of(fit, top))
+        return tuple(curve for curve in out if curve is not None)
+
+    @cached_property
+    def volts(self) -> int:
+        """Power of V_ref with which the voltage at a command goes [1]; 0 where the logs take it out again.
+
+        Curves whose points have volts give Ω_0 at V_ref, trials without volts run at V_ref.
+        """
+        points = [log.points for log in self.curves.logs if log.table == "no_load"]
+        points += [self.curves.loaded[direction] for direction in self.curves.ties]
+        curves = {bool(np.isfinite(each.voltage).any()) for each in points}
+        trials = {"voltage" in trial.log.channels for trial in self.fitted}
+        lines = [fit for fit in self.curves.fits if fit.quantity == "no_load"]
+        follow = all(any(fit is each.fit for each in self.measured_curves) for fit in lines)
+        if self.curves.maps or not follow or len(curves) != 1 or len(trials) != 1:
+            return 0
+        return int(curves.pop()) - int(trials.pop())
 
     @property
     def banded(self) -> tuple[PreparedTrial, ...]:
@@ -191,7 +225,7 @@ def _known_values(
     stated: dict[str, str] = {}
     (stated if motor.reference_voltage is None else measured)["reference_voltage"] = voltage_source
     if motor.kv is not None:
-        values |= dict.fromkeys(CONSTANTS, 1.0 / motor.kv)
+        values |= dict.fromkeys(CONSTANTS, _inverse(motor.kv))
         stated |= dict.fromkeys(CONSTANTS, "campaign: 1/motor.kv, a rating")
         if current is not None and abs(current.value * motor.kv - 1.0) > _SCALE_AGREES:
             notice(
@@ -201,7 +235,7 @@ def _known_values(
                 "out to use the current, or correct log.current",
             )
     elif current is not None:
-        values |= dict.fromkeys(CONSTANTS, current.value)
+        values |= dict.fromkeys(CONSTANTS, Stated(current.value, current.error))
         source = f"torque over the logged motor current, {current.points} steady points"
         if current.friction > 0:
             source += f" less {1e3 * current.friction:.2g} mN·m of friction"
@@ -223,6 +257,11 @@ def _known_values(
             values[name] = value
             measured[name] = f"campaign: motor.{name}"
     return values, measured, stated
+
+
+def _inverse(kv: float) -> Stated:
+    """Return k [V·s/rad] of a Kv [rad/s/V], with its error."""
+    return Stated(1.0 / kv, error_of(kv) / kv**2, isinstance(kv, Stated) and kv.assumed)
 
 
 def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
@@ -301,6 +340,45 @@ def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     # A guess need not lie between the bounds of what is freed; a measurement must.
     values = {n: value for n, value in bench.values.items() if n not in chosen or n in bench.measured}
     space = choices.search_space(PARAMETERS, FREE_DEFAULT, values)
-    if campaign.nuisance.command_delay == "common":
+    if campaign.nuisance.command_delay == "log":
+        space = with_log_delays(space, bench.fitted, bench.banded)
+    return space if campaign.fit.exact else _with_stated(space, campaign, bench)
+
+
+def _with_stated(space: SearchSpace, campaign: MotorCampaign, bench: Bench) -> SearchSpace:
+    """Return a space in which what was measured with an error moves, with a row for each.
+
+    A range under `[parameters.measured]` is the error of a value that states none. Thrust stays, because no
+    residual depends on it, and so does V_ref where the logs take it out again. The torque constant follows
+    the back-EMF constant (`MotorProblem.complete`).
+    """
+    fixed, ranges = (
+        campaign.parameters.fixed_values(PARAMETERS),
+        campaign.parameters.measured_ranges(PARAMETERS),
+    )
+    stated = {}
+    for name, value in {**bench.values, **fixed}.items():
+        low, high = ranges.get(name, (0.0, 0.0))
+        if not isinstance(value, Stated) or (value.assumed and high > low):
+            value = Stated(value, (high - low) / np.sqrt(12.0))
+        # A typical error that is merely assumed moves nothing.
+        if value.error > 0 and not value.assumed and name in space.fixed:
+            stated[name] = value
+    if not stated:
         return space
-    return with_log_delays(space, bench.fitted, bench.banded)
+    stays = {*PARAMETERS.group("thrust curve")} | ({*bench.curves.parameters} - {*fixed})
+    chosen, turning = {*space.names, *fixed}, {trial.entry.direction for trial in bench.fitted}
+    curves = [
+        each
+        for each in bench.measured_curves
+        if each.fit.direction in turning and not {*each.fit.parameters} & chosen
+    ]
+    if not (bench.volts and curves) or {"reference_voltage", *PARAMETERS.group("no-load line")} & chosen:
+        stays.add("reference_voltage")
+    if {*CONSTANTS} <= {*stated} and not {*CONSTANTS} & {*fixed}:
+        stays.add("torque_constant")
+    stated = {name: value for name, value in stated.items() if name not in stays}
+    for curve in curves:
+        stated |= {row.name: Stated(1.0, error) for row, error in zip(curve.rows, curve.errors, strict=True)}
+    rows = [row for curve in curves for row in curve.rows]
+    return space.with_stated(stated, rows)

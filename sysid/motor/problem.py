@@ -25,7 +25,7 @@ from sysid.motor.known_values import CONSTANTS, Bench
 from sysid.motor.log_delays import delay_name, shifts
 from sysid.motor.model import PARAMETERS
 from sysid.motor.parameters import SENSORS
-from sysid.motor.static_curves import NoLoadTie, no_load_line
+from sysid.motor.static_curves import MEASURED_CURVE, MeasuredCurve, NoLoadTie, no_load_line
 from sysid.motor.targets import PreparedTrial, measured_spectrum
 from sysid.parameters import SearchSpace
 from sysid.trials.bench_log import STANDS
@@ -159,18 +159,48 @@ class MotorProblem(Problem):
             names += [f"{trial.name} from {time:.2f} s" for time in (trial.time[0], *cuts)]
         return tuple(names), np.concatenate([found[block.trial] for block in self.blocks])
 
+    @property
+    def one_constant(self) -> bool:
+        """Whether k_m is k_v, because both are stated by one Kv or current with an error."""
+        chosen = {*self.space.names, *self.campaign.parameters.fixed}
+        return {*CONSTANTS} & chosen == {"back_emf_constant"} <= {*self.space.stated}
+
     # --- scores and signals ---------------------------------------------------------------------------------
 
     def complete(self, rows: FloatArray) -> FloatArray:
-        """Return rows (P, n_table) [SI] with the no-load lines that belong to their R and k_d."""
+        """Return rows (P, n_table) [SI] with all that follows from other values of theirs.
+
+        No-load lines follow R, k_d and V_ref, measured curves their rows, and k_m a k_v of the same source.
+        """
         rows = np.array(rows, dtype=np.float64)
+        if self.one_constant:
+            rows[:, _INDEX["torque_constant"]] = rows[:, _INDEX["back_emf_constant"]]
+        table, lift = self.space.table, np.ones(len(rows))
+        if table.group(MEASURED_CURVE) and rows.shape[1] == len(table):
+            if self.bench.volts:
+                voltage = rows[:, _INDEX["reference_voltage"]]
+                lift = (voltage / self.bench.values["reference_voltage"]) ** self.bench.volts
+            for curve in self._own_curves:
+                coefficients = np.array([curve.fit.coefficients])
+                if curve.rows[0].name in table:
+                    shares = rows[:, [table.index[row.name] for row in curve.rows]] - 1.0
+                    coefficients = coefficients + shares @ curve.changes
+                if curve.fit.quantity == "no_load":
+                    coefficients = coefficients * lift[:, None]
+                rows[:, [_INDEX[name] for name in curve.fit.parameters]] = coefficients
         column = {name: rows[:, i] for name, i in _INDEX.items()}
         scale = column["torque_constant"] * column["back_emf_constant"]
         drop, sag = column["winding_resistance"] / scale, column["supply_resistance"] / scale
         for direction, tie in self.ties.items():
             line = tie.line(drop, column["viscous_damping"], sag)
-            rows[:, [_INDEX[name] for name in no_load_line(direction)]] = line
+            rows[:, [_INDEX[name] for name in no_load_line(direction)]] = line * lift[:, None]
         return rows
+
+    @cached_property
+    def _own_curves(self) -> tuple[MeasuredCurve, ...]:
+        """Measured curves that the campaign neither fixes nor frees."""
+        chosen = {*self.campaign.parameters.fixed, *(self.campaign.parameters.free or ())}
+        return tuple(each for each in self.bench.measured_curves if not {*each.fit.parameters} & chosen)
 
     def score(self, rows: FloatArray) -> Scores:
         """Simulate and score rows (P, n_table) [SI]; rows of the model's table alone have one delay."""
@@ -289,6 +319,10 @@ class MotorProblem(Problem):
     def _changes(self) -> FloatArray:
         """(K, n_table) one standard deviation of each static curve and each stated range [SI]."""
         index, fixed, searched = self.space.table.index, self.campaign.parameters.fixed, self.space.names
+        rows = {*self.space.table.group(MEASURED_CURVE)}
+        moved = [
+            curve.fit for curve in self.bench.measured_curves if {row.name for row in curve.rows} <= rows
+        ]
         changes: list[FloatArray] = []
 
         def change(names: Sequence[str], size: ArrayLike) -> None:
@@ -300,6 +334,8 @@ class MotorProblem(Problem):
             names = [name for name in fit.parameters if name in index]
             # Curves that the campaign states are no fit to points.
             if fit.quantity == "thrust" or len(names) != 2 or {*fit.parameters} & {*fixed, *searched}:
+                continue
+            if any(fit is each for each in moved):
                 continue
             first, second = fit.standard_errors
             rho = fit.correlation
@@ -349,12 +385,22 @@ class MotorProblem(Problem):
         known = {*self.bench.values, *self.campaign.parameters.fixed} - self.bench.guessed
         if any(r.name == "winding_resistance" and r.status == "free" for r in fit.parameters):
             known -= {*CONSTANTS}
+        if self._of_stand:
+            seen = {log.get("sha256") for log in fit.provenance.get("logs", {}).values()}
+            same = any(log.provenance["sha256"] in seen for log in self.bench.curves.logs)
+            moved = {record.name for record in fit.parameters if record.status == "stated"}
+            known = known - (self._of_stand & moved) if same else known | self._of_stand
         return known
 
     @property
+    def _of_stand(self) -> set[str]:
+        """Stated values of the static logs: rows of their curves, and the supply."""
+        return {"reference_voltage", *self.space.table.group(MEASURED_CURVE)} & {*self.space.stated}
+
+    @property
     def instruments(self) -> Collection[str]:
-        """Delays and lags."""
-        return tuple(name for name in self.space.table if name in _INSTRUMENTS)
+        """Delays and lags, static curves and their supply."""
+        return (*(name for name in self.space.table if name in _INSTRUMENTS), *self._of_stand)
 
     @property
     def row_logs(self) -> Mapping[str, str]:

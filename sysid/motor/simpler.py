@@ -104,7 +104,11 @@ def simpler(problem: MotorProblem) -> list[tuple[str, MotorProblem]]:
     free = ["rise_time_constant", "fall_time_constant"]
     free += [name for name in ("command_delay", *SENSORS, *delays) if name in space.names]
     table = ParameterTable([*PARAMETERS.values(), *(space.table[name] for name in delays)])
-    values = {n: value for n, value in {**space.fixed, **bench.curves.parameters}.items() if n in table}
+    values = {
+        n: value
+        for n, value in {**space.fixed, **space.stated, **bench.curves.parameters}.items()
+        if n in table
+    }
     for direction, points in bench.curves.loaded.items():
         turning = turns(points.u, direction)
         ratio = supply_ratio(points, bench.curves.reference_voltage)
@@ -119,5 +123,7 @@ def simpler(problem: MotorProblem) -> list[tuple[str, MotorProblem]]:
     if "winding_inductance" in space.names:
         fixed = {**space.fixed, "winding_inductance": _NO_INDUCTANCE}
         others = tuple(row for row in space.free if row.name != "winding_inductance")
-        out.append(("without L", replace(problem, space=SearchSpace(space.table, others, fixed))))
+        out.append(
+            ("without L", replace(problem, space=SearchSpace(space.table, others, fixed, space.stated)))
+        )
     return out

@@ -15,14 +15,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression, least_squares
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from sysid.errors import FitError
+from sysid.parameters import Parameter
 from sysid.types import BoolArray, FloatArray, IntArray, Rotation
 
 # Median absolute deviation of a normal distribution in units of its standard deviation.
 _MAD = 0.6745
 # Distance from the curve beyond which a point is an outlier [robust standard deviations].
 _OUTLIER = 5.0
+# Chance at which the tails of a measured curve's errors are those of a normal distribution [1].
+_RARE = 1e-3
+# Group of the rows by which a fit moves measured static curves.
+MEASURED_CURVE = "measured curve"
 
 
 def no_load_line(direction: Rotation) -> tuple[str, ...]:
@@ -74,10 +81,20 @@ class CurveFit:
 
     def at(self, speed: float) -> tuple[float, float]:
         """Return thrust [N] or torque [N·m] at a speed [rad/s], and its standard error."""
-        columns = np.array([speed * abs(speed), speed])
+        columns = self.columns(speed)
+        return float(columns @ self.coefficients), float(np.sqrt(columns @ self.covariance @ columns))
+
+    def columns(self, place: float) -> FloatArray:
+        """Return what the coefficients are multiplied by (2,) at a speed [rad/s] or command [1]."""
+        return np.array(
+            [place, np.sign(place)] if self.quantity == "no_load" else [place * abs(place), place]
+        )
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(2, 2) covariance of the coefficients [SI]."""
         errors = np.outer(self.standard_errors, self.standard_errors)
-        covariance = errors * np.array([[1.0, self.correlation], [self.correlation, 1.0]])
-        return float(columns @ self.coefficients), float(np.sqrt(columns @ covariance @ columns))
+        return np.asarray(errors * np.array([[1.0, self.correlation], [self.correlation, 1.0]]))
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -95,6 +112,48 @@ class CurveFit:
             "units": list(self.units), "r_squared": self.r_squared, "points": self.points,
             "outliers": self.outliers,
         }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredCurve:
+    """A static curve of its own logs, and the two rows by which a fit moves it within its errors.
+
+    The rows are the curve at full speed or command, and half-way, over what the points give; the second is
+    what the points leave open of the middle once the top is known, so that both errors are independent.
+    `changes` (2, 2) are those of the coefficients per unit of each row [SI].
+    """
+
+    fit: CurveFit
+    rows: tuple[Parameter, ...]
+    errors: tuple[float, ...]
+    changes: FloatArray
+
+    @classmethod
+    def of(cls, fit: CurveFit, top: float) -> MeasuredCurve | None:
+        """Return a curve whose points reach to `top` [rad/s] or [1]; None where its errors are not known."""
+        if fit.points < 3:
+            return None
+        # A few points state their own scatter badly, which widens the tails: Student's t.
+        wider = float(student.isf(_RARE, fit.points - 2) / norm.isf(_RARE))
+        left, rows, errors, changes = wider**2 * fit.covariance, [], [], []
+        name, symbol = ("no_load_line", "Ω_0") if fit.quantity == "no_load" else ("torque_curve", "τ")
+        for share, place, words in ((1.0, "top", "at full speed or command"), (0.5, "middle", "half-way")):
+            columns = fit.columns(share * top)
+            value, spread = float(columns @ fit.coefficients), float(columns @ left @ columns)
+            if not (np.isfinite(spread) and spread > 0.0 and value):
+                return None
+            move = left @ columns
+            left = left - np.outer(move, move) / spread
+            changes.append(move * value / spread)
+            errors.append(float(np.sqrt(spread)) / abs(value))
+            rows.append(
+                Parameter(
+                    f"{name}_{place}_{fit.direction}", f"{symbol} {fit.direction}, {place}", "1", 1.0, 0.0,
+                    2.0, "linear", f"Static curve over what its points give, {words}.", "static logs",
+                    MEASURED_CURVE,
+                )
+            )  # fmt: skip
+        return cls(fit, tuple(rows), tuple(errors), np.array(changes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from sysid.fit.story import Story
 from sysid.motor.cost import CHANNELS
 from sysid.motor.curves import supply_ratio
 from sysid.motor.inertia import spikes
-from sysid.motor.known_values import CONSTANTS, Bench
+from sysid.motor.known_values import CONSTANTS, KEYS, Bench
 from sysid.motor.model import PARAMETERS, unpack
 from sysid.motor.problem import MotorProblem
 from sysid.motor.static_curves import turns
@@ -37,6 +37,7 @@ class MotorStory(Story[MotorProblem]):
     """Descriptions of the trials of a bench."""
 
     known_words = "static curves and tares; ranges under parameters.measured"
+    keys = KEYS
 
     @property
     def hashes(self) -> Mapping[str, str]:
@@ -91,8 +92,9 @@ class MotorStory(Story[MotorProblem]):
 
     def given(self) -> Mapping[str, str]:
         """Return what the intervals take as exact."""
-        fixed = self.problem.campaign.parameters.fixed
-        return taken_as_exact(self.problem.space.names, self.problem.ranges, self.problem.bench, fixed)
+        problem, fixed = self.problem, self.problem.campaign.parameters.fixed
+        free = [*problem.space.names, *CONSTANTS] if problem.one_constant else problem.space.names
+        return taken_as_exact(free, problem.ranges, problem.bench, fixed)
 
     def floor(self, row: FloatArray) -> FloatArray:
         """Return the floors (T, 2) [channel units]; NaN where a channel has no weight."""

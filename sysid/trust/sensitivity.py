@@ -73,7 +73,7 @@ def expectations(
 
 def nominal_point(space: SearchSpace) -> FloatArray:
     """Return the model's default values (n,) in the unit cube, a little inside."""
-    nominal = np.array([space.table[name].nominal for name in space.names])
+    nominal = np.array([space.stated.get(name, space.table[name].nominal) for name in space.names])
     return np.clip(space.encode(nominal), 0.02, 0.98)
 
 

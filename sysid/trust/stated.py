@@ -1,16 +1,16 @@
 """What trials say of the values that their campaign states: what each became, which are contradicted.
 
-Near the best set a stated value lies p standard errors from what is stated, and the trials leave open the
-share v of its stated variance. Were the value not stated, it would move on by ``p v/(1 - v)``, and the
-deviance would fall by ``p²/(1 - v)``, which follows chi-square with one degree of freedom where the statement
-is right (both exact for a linear model). A value whose fall no chance explains is taken out, and the others
-are judged again without it: one wrong value pulls others along.
+Were a value not stated, the trials would ask for one that lies q standard errors from what is stated, with
+the variance c (both exact for a linear model, the second by the sandwich of `sysid.trust.linearized`, because
+a fit weights its channels unlike their noise). The deviance would fall by ``q²/(1 + c)``, which follows
+chi-square with one degree of freedom where the statement is right. A value whose fall no chance explains is
+taken out, and the others are judged again without it: one wrong value pulls others along.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -25,29 +25,80 @@ from sysid.types import FloatArray
 _CHANCE = 0.02
 # Deviance by which another value may explain the trials worse and still be named beside the first one.
 _AS_WELL = 6.0
-# Largest share of a stated variance that trials leave open of a value that they can contradict [1].
-_UNSEEN = 0.98
+# Least correlation with a stated value that makes up half of a variance, and least error of that value after
+# the fit, over the stated one, with which the statement decides and not the trials [1].
+_HALF, _AS_STATED = 0.707, 0.7
+# Variance from which on trials cannot contradict a value [squared standard errors].
+_UNSEEN = 50.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """Stated values in standard errors: their pulls (S,) and covariance (S, S) as fitted."""
+    """Stated values near the minimum of a fit, in standard errors: some of them, by place, are not stated."""
 
+    # (S,) distances from what is stated.
     pulls: FloatArray
-    covariance: FloatArray
+    # (n, n) curvature and noise of the gradient over all free parameters, in units of `size`.
+    curvature: FloatArray
+    noise: FloatArray
+    # (n,) root of the curvature [1/unit cube]; (S,) range of the rows [standard errors].
+    size: FloatArray
+    reach: FloatArray
+    # (S,) what the residual of each distance is multiplied by.
+    weights: FloatArray
+
+    @classmethod
+    def of(cls, space: SearchSpace, linear: Linearized) -> _Judged:
+        """Return what is stated in a space at its minimum; a parameter at a bound does not move."""
+        count = len(space.stated)
+        errors = np.array([value.error for value in space.stated.values()])
+        reach = np.array([row.upper - row.lower for row in space.free[-count:]]) / errors
+        moves = space.at_bound(linear.point) == 0
+        moves[-count:] = True
+        columns = linear.jacobian.values[:, moves]
+        size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        noise = linear.information.gradient_noise[np.ix_(moves, moves)] / np.outer(size, size)
+        pulls = space.pulls(space.full(linear.point[None]))[0]
+        curvature = columns.T @ columns / np.outer(size, size)
+        return cls(pulls, curvature, noise, size, reach, linear.scale[-count:])
+
+    @property
+    def _inverse(self) -> FloatArray:
+        return np.asarray(np.linalg.pinv(self.curvature, rcond=1e-12, hermitian=True))
+
+    @property
+    def sigma(self) -> FloatArray:
+        """(S,) standard deviations of the values as fitted; nothing is known worse than it is stated."""
+        return np.minimum(np.sqrt(self._variances), 1.0)
+
+    @property
+    def _variances(self) -> FloatArray:
+        count, inverse = len(self.pulls), self._inverse
+        spread = np.diag(inverse @ self.noise @ inverse)[-count:]
+        return np.asarray(spread * (self.reach / self.size[-count:]) ** 2)
 
     @property
     def gains(self) -> FloatArray:
         """(S,) falls of the deviance were the value not stated."""
-        left = 1.0 - np.diag(self.covariance)
-        return np.where(left > 1.0 - _UNSEEN, self.pulls**2 / np.maximum(left, 1.0 - _UNSEEN), 0.0)
+        out = np.zeros(len(self.pulls))
+        for i in range(len(out)):
+            free = self.without(i)
+            spread = free._variances[i]
+            if spread < _UNSEEN:
+                out[i] = free.pulls[i] ** 2 / (1.0 + spread)
+        return out
 
     def without(self, i: int) -> _Judged:
         """Return the same were value i not stated."""
-        column, left = self.covariance[:, i], 1.0 - self.covariance[i, i]
-        return _Judged(
-            self.pulls + column * self.pulls[i] / left, self.covariance + np.outer(column, column) / left
+        count = len(self.pulls)
+        row = np.zeros(len(self.size))
+        row[i - count] = self.weights[i] * self.reach[i] / self.size[i - count]
+        outer = np.outer(row, row)
+        free = replace(
+            self, curvature=self.curvature - outer, noise=self.noise - outer * self.weights[i] ** 2
         )
+        move = free._inverse @ row * (self.weights[i] * self.pulls[i])
+        return replace(free, pulls=self.pulls + move[-count:] * self.reach / self.size[-count:])
 
 
 def stated_values(space: SearchSpace, linear: Linearized) -> list[StatedValue]:
@@ -56,14 +107,8 @@ def stated_values(space: SearchSpace, linear: Linearized) -> list[StatedValue]:
     if not count:
         return []
     rows = space.free[-count:]
-    errors = np.array([value.error for value in space.stated.values()])
-    reach = np.array([row.upper - row.lower for row in rows]) / errors
-    pulls = space.pulls(space.full(linear.point[None]))[0]
-    covariance = linear.information.covariance[-count:, -count:] * np.outer(reach, reach)
-    # Nothing is known worse than it is stated.
-    size = np.maximum(np.sqrt(np.diag(covariance)), 1.0)
-    judged = _Judged(pulls, covariance / np.outer(size, size))
-    first, limit = judged, float(chi2.isf(_CHANCE / count, 1))
+    first = judged = _Judged.of(space, linear)
+    pulls, falls, limit = first.pulls, first.gains, float(chi2.isf(_CHANCE / count, 1))
     wrong: dict[int, list[int]] = {}
     while len(wrong) < count:
         gains = judged.gains
@@ -78,17 +123,29 @@ def stated_values(space: SearchSpace, linear: Linearized) -> list[StatedValue]:
     for i, (row, (name, value)) in enumerate(zip(rows, space.stated.items(), strict=True)):
         free = judged if i in wrong else first
         asked = first.without(i) if i in {j for others in wrong.values() for j in others} - {*wrong} else free
-        deviation = float(np.sqrt(free.covariance[i, i]) * value.error)
+        deviation = float((free.sigma if i not in wrong else np.sqrt(free._variances))[i] * value.error)
         out.append(
             StatedValue(
                 name=name, symbol=row.symbol, unit=row.unit, stated=float(value), error=value.error,
                 fitted=float(value + pulls[i] * value.error), sigma=deviation, pull=float(pulls[i]),
-                gain=float(first.gains[i]), contradicted=i in wrong,
+                gain=float(falls[i]), contradicted=i in wrong,
                 asked=float(value + asked.pulls[i] * value.error),
                 partners=[rows[j].name for j in wrong.get(i, ())],
             )
         )  # fmt: skip
     return out
+
+
+def deciding(space: SearchSpace, linear: Linearized) -> list[str | None]:
+    """Return for every found parameter the stated value whose error makes up most of its variance."""
+    count, found = len(space.stated), len(space.found)
+    if not count:
+        return [None] * found
+    rows, size = space.free[found:], linear.information.sigma[found:]
+    errors = np.array([value.error for value in space.stated.values()])
+    rho = np.abs(linear.information.correlation[:found, found:])
+    rho[:, size * [row.upper - row.lower for row in rows] < _AS_STATED * errors] = 0.0
+    return [rows[int(np.argmax(row))].name if row.max() > _HALF else None for row in rho]
 
 
 def contradictions(rows: Sequence[StatedValue], space: SearchSpace) -> list[Finding]:

@@ -102,6 +102,10 @@ def verdict_on(result: FitResult) -> str:
         if judged["verdict"] == NOT_BY:
             lost.insert(0, "no parameter is well known")
     known = "; ".join(lost) or "every free parameter is identifiable"
+    decided = {row.decided_by for row in result.judged.values()} - {None}
+    for key in sorted(map(str, decided)):
+        names = [name for name, row in result.judged.items() if row.decided_by == key]
+        known += f"; the error of {key} as stated decides {', '.join(names)}"
     if judged is not None and judged["verdict"] == NOT_BY and (anyhow := result.settings.get(KNOWN_ANYHOW)):
         fits = f"use {anyhow}, which need no model; of the model: {fits}"
     warned = len(result.warnings)

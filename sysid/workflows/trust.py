@@ -34,7 +34,7 @@ from sysid.trust.documents import (
 )
 from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
-from sysid.trust.stated import contradictions, stated_values
+from sysid.trust.stated import contradictions, deciding, stated_values
 from sysid.trust.terms import freed
 from sysid.types import FloatArray
 from sysid.workflows.options import TrustOptions
@@ -92,7 +92,8 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     judged, linear, boot = assessed.adequacy, assessed.linear, assessed.resampled
     lacks = judged.verdict == NOT_BY
     without = space.decode(trials.without)
-    rows = _parameters(opened.result, space, assessed)
+    story = opened.kind.story(opened.problem)
+    rows = _parameters(opened.result, space, assessed, story.keys)
     # Why the interval of a parameter may miss the truth, by its name.
     doubts: dict[str, list[str]] = {row.name: [] for row in rows}
     _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks)
@@ -111,7 +112,7 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         doubts[row.name].append("the model does not explain the trials")
     for finding in _doubtful(space.found, rows, doubts, assessed, opened.result.cube[0]):
         journal.add(finding)
-    known, given = opened.kind.story.known_words, opened.kind.story(opened.problem).given()
+    known, given = story.known_words, story.given()
     statement = _STATEMENT + (f" ({known})" if known else "")
     statement += f"; given {' and '.join(given.values())}" if given else ""
     boot_record, evaluations = None, assessed.profiles.evaluations + trials.evaluations
@@ -265,8 +266,10 @@ def _notes(trials: int, boot: Solved | None, given: Mapping[str, str]) -> list[s
     return out
 
 
-def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> list[FreeParameter]:
-    """Return what is known of every free parameter; no doubt is stated yet."""
+def _parameters(
+    result: FitResult, space: SearchSpace, assessed: Assessment, keys: Mapping[str, str]
+) -> list[FreeParameter]:
+    """Return what is known of every free parameter; no doubt is stated yet. `keys` as in `Story`."""
     linear = assessed.linear
     index = {record.name: i for i, record in enumerate(result.parameters)}
     sets = result.parameter_sets()
@@ -274,7 +277,7 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
     sigma = linear.information.sigma
     up = space.decode(np.minimum(linear.point + sigma, 1.0)) - refined
     down = refined - space.decode(np.maximum(linear.point - sigma, 0.0))
-    partners = linear.information.partners(space.names)
+    partners, decided = linear.information.partners(space.names), deciding(space, linear)
     boot = None
     if assessed.resampled is not None:
         boot = space.decode(assessed.resampled.points[np.isfinite(assessed.resampled.squares)])
@@ -307,6 +310,7 @@ def _parameters(result: FitResult, space: SearchSpace, assessed: Assessment) -> 
                 open_95=list(profile.open_95),
                 half_width=profile.half_width,
                 verdict=word,
+                decided_by=keys.get(decided[i] or "", decided[i]),
                 expected_half_width=float(linear.half_widths[i]),
                 partners=partners[i],
                 at_bound=int(result.at_bound[0, column]),

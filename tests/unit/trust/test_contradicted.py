@@ -6,6 +6,7 @@ import pytest
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.stated import Stated
 from sysid.trust.linearized import Information, Linearized
+from sysid.trust.problem import Jacobian
 from sysid.trust.stated import contradictions, stated_values
 
 ERRORS = np.array([0.01, 0.02, 0.05])
@@ -30,9 +31,12 @@ def fitted(stated, design, data):
     covariance = np.linalg.inv(normal)
     values = covariance @ (design.T @ data + prior @ np.array([0.0, *stated]))
     reach = np.array([row.upper - row.lower for row in space.free])
-    known = Information(normal, normal, covariance / np.outer(reach, reach), np.ones(4))
+    columns = np.concatenate([design, np.eye(4)[1:] / ERRORS[:, None]]) * reach
+    noise = columns.T @ columns
+    known = Information(noise, noise, covariance / np.outer(reach, reach), np.ones(4))
     nothing = np.zeros(0)
-    linear = Linearized(space.encode(values), nothing, nothing, None, None, known, nothing)
+    derived = Jacobian(columns, nothing, nothing)
+    linear = Linearized(space.encode(values), nothing, np.ones(len(columns)), derived, None, known, nothing)
     return space, linear, values
 
 

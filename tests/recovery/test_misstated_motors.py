@@ -1,0 +1,72 @@
+"""Benches of a right motor in a campaign with a good lab's errors: all are fitted, a gross one is named."""
+
+import pytest
+
+from fakes.lab import MOTOR_LAB, misstated, scaled
+from sysid.synthetic import read_truth, synthesize_motor
+from sysid.trust.documents import TrustDocument
+from sysid.workflows.fit import fit_motor
+from sysid.workflows.options import FitOptions
+from sysid.workflows.show import verdict_on
+
+pytestmark = pytest.mark.slow
+# A motor that is not the paper's.
+MOTOR = {
+    "winding_resistance": 0.27, "winding_inductance": 0.0033, "rotor_inertia": 3.1e-5,
+    "back_emf_constant": 0.0108, "torque_constant": 0.0108,
+}  # fmt: skip
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    return synthesize_motor(tmp_path / "bench", seed=1, parameters=MOTOR) / "campaign.toml"
+
+
+def fitted(path, **options):
+    """The fit of a campaign by one run, its intervals and its folder."""
+    choices = FitOptions(out=path.with_suffix(""), runs=1, seed=1, quiet=True, check=False, **options)
+    result, folder = fit_motor(path, choices)
+    text = (folder / "trust.json").read_text(encoding="utf-8")
+    return result, TrustDocument.parse(text, folder / "trust.json", ValueError), folder
+
+
+@pytest.mark.parametrize("seed", [1, 2, 4])
+def test_a_good_labs_errors_are_fitted(campaign, seed):
+    result, trust, _ = fitted(misstated(campaign, seed, name="good.toml", errors=MOTOR_LAB))
+    assert trust.adequacy.verdict == "explained"
+    for name in ("winding_resistance", "winding_inductance"):
+        row = trust.by_name[name]
+        assert row.contains(MOTOR[name])
+        # 2 % of Kv are 4 % of R, one standard deviation.
+        assert (row.interval_95[1] - row.interval_95[0]) / 2 / row.value > 0.06
+        assert row.decided_by == "kv"
+    by_name = {row.name: row for row in trust.stated}
+    inertia = by_name["rotor_inertia"]
+    assert inertia.fitted == pytest.approx(MOTOR["rotor_inertia"], rel=2e-3)
+    # Torque and speed say nothing of Kv: it stays as stated.
+    assert abs(by_name["back_emf_constant"].pull) < 0.05
+    assert not any(row.contradicted for row in trust.stated)
+    said = "the error of kv as stated decides winding resistance, winding inductance"
+    assert said in verdict_on(result)
+
+
+@pytest.mark.parametrize("key", ["rotor_inertia", "reference_voltage", "torque_curve_forward"])
+def test_a_gross_error_is_named(campaign, key):
+    gross = {} if key == "torque_curve_forward" else {key: 9.0}
+    if not gross:
+        scaled(campaign.with_name("static-forward.csv"), "Torque", 1.015)
+    _, trust, _ = fitted(misstated(campaign, 4, name="gross.toml", errors=MOTOR_LAB, gross=gross))
+    wrong = max((row for row in trust.stated if row.contradicted), key=lambda row: row.gain)
+    assert any(name.startswith(key[:12]) for name in (wrong.name, *wrong.partners))
+    (sentence, *_) = (one for one in trust.warnings if "the trials ask for" in one)
+    assert sentence.startswith(f"the trials ask for {wrong.name} = ")
+    if gross:
+        true = read_truth(campaign.parent)["parameters"][key]
+        assert wrong.asked == pytest.approx(true, abs=3 * wrong.sigma)
+
+
+def test_the_same_taken_as_exact_is_a_confident_error(campaign):
+    path = misstated(campaign, 0, name="exact.toml", errors={"kv": "2 %"}, gross={"kv": 1.0})
+    _, trust, _ = fitted(path, exact=True)
+    assert not trust.stated
+    assert not trust.by_name["winding_resistance"].contains(MOTOR["winding_resistance"])

@@ -1,0 +1,179 @@
+"""Values that a motor campaign and its static logs state with errors: what moves, and what that does."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from fakes.lab import MOTOR_LAB, misstated, scaled
+from fakes.motor_bench import bench_of, edited, problem_of
+from sysid.campaign import read_campaign
+from sysid.errors import CampaignError
+from sysid.synthetic.motor import TrialPlan, synthesize_motor
+
+SHORT = (
+    TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),
+    TrialPlan("reverse-1", "reverse", "fit", -0.25, (-0.60, -0.35, -0.90), 0.45, "hdf5"),
+)
+CURVES = [
+    f"{curve}_{place}_{way}"
+    for way in ("forward", "reverse")
+    for curve in ("torque_curve", "no_load_line")
+    for place in ("top", "middle")
+]
+
+
+@pytest.fixture
+def path(tmp_path):
+    bench = synthesize_motor(tmp_path / "bench", seed=3, trials=SHORT)
+    return misstated(bench / "campaign.toml", 0, name="stated.toml", errors=MOTOR_LAB)
+
+
+def row_of(problem, **values):
+    """The row of what a campaign states, and of some other values."""
+    row = problem.base.copy()
+    for name, value in values.items():
+        row[problem.space.table.index[name]] = value
+    return row[None]
+
+
+def signals(problem, **values):
+    """Predicted torque and speed of the first trial."""
+    return problem.predict(row_of(problem, **values)).signals[0][0]
+
+
+def test_what_was_measured_moves(path):
+    campaign, bench = bench_of(path)
+    space = problem_of(campaign, bench).space
+    measured = ("back_emf_constant", "rotor_inertia", "reference_voltage")
+    assert {*space.stated} == {*measured, *CURVES}
+    # The errors as stated; curves state their own.
+    shares = [space.stated[name].error / space.stated[name] for name in measured]
+    assert shares == pytest.approx([0.02, 0.05, 0.005], rel=1e-3)
+    assert not any(value.assumed for value in space.stated.values())
+    # A campaign that states no error moves nothing.
+    assert not problem_of(*bench_of(path.with_name("campaign.toml"))).space.stated
+    assert [row.name for row in space.found] == [
+        "winding_resistance", "winding_inductance", "viscous_damping", "command_delay[forward-1.csv]",
+        "command_delay[reverse-1.h5]",
+    ]  # fmt: skip
+    inertia = ("^rotor_inertia = .*", 'rotor_inertia = "2.7e-5 kg·m² exact"')
+    path = edited(path, ("^kv = .*", 'kv = "960 ± 10 rpm/V"'), inertia)
+    space = problem_of(*bench_of(path)).space
+    assert space.stated["back_emf_constant"].error / space.stated["back_emf_constant"] == pytest.approx(
+        1 / 96
+    )
+    assert "rotor_inertia" not in space.stated
+    fixed = '[parameters.fixed]\nviscous_damping = "1e-8 ± 5e-9 N·m·s/rad"\n[parameters.measured]\n'
+    fixed += 'reference_voltage = ["11.0 V", "11.2 V"]\n[fit]\nexact = false\n'
+    space = problem_of(*bench_of(edited(path, (r"^\[fit\]\n", fixed), name="ranged.toml"))).space
+    assert space.stated["viscous_damping"].error == 5e-9
+    # An error that is stated counts before a range, which is a uniform density.
+    assert space.stated["reference_voltage"].error == pytest.approx(0.0555, rel=1e-3)
+    plain = (r"^reference_voltage = .*± .*", 'reference_voltage = "11.1 V"')
+    path = edited(path, plain, (r"^\[fit\]\n", fixed))
+    space = problem_of(*bench_of(path)).space
+    assert space.stated["reference_voltage"].error == pytest.approx(0.2 / math.sqrt(12))
+    exact = edited(path, ("exact = false", "exact = true"))
+    assert not problem_of(*bench_of(exact)).space.stated
+
+
+def test_a_moved_value_is_the_value_stated_there(path):
+    plain = problem_of(*bench_of(path))
+    for key, text, values in (
+        ("kv", "940 rpm/V", {"back_emf_constant": 30 / math.pi / 940}),
+        ("rotor_inertia", "2.9e-5 kg·m²", {"rotor_inertia": 2.9e-5}),
+        ("reference_voltage", "11.3 V", {"reference_voltage": 11.3}),
+    ):
+        there = edited(path, (f"^{key} = .*", f'{key} = "{text}"'), name="there.toml")
+        moved, stated = signals(plain, **values), signals(problem_of(*bench_of(there)))
+        assert np.max(np.abs(moved - signals(plain))[:, 1]) > 0.05, key
+        np.testing.assert_allclose(moved, stated, rtol=1e-6, atol=1e-7)
+
+
+def test_a_static_log_moves_its_curve(path):
+    plain = problem_of(*bench_of(path))
+    index = plain.space.table.index
+    for column, log, names in (
+        ("Torque", "static-forward.csv", ("torque_quadratic_forward", "torque_linear_forward")),
+        ("Motor Optical", "no-load-reverse.csv", ("no_load_slope_reverse", "no_load_intercept_reverse")),
+    ):
+        file = path.with_name(log)
+        before = file.read_bytes()
+        scaled(file, column, 1.01)
+        there = problem_of(*bench_of(path))
+        file.write_bytes(before)
+        columns = [index[name] for name in names]
+        wanted = there.complete(row_of(there))[0, columns]
+        (curve,) = (one for one in plain.bench.measured_curves if {*one.fit.parameters} == {*names})
+        shares = 1 + np.linalg.solve(curve.changes.T, wanted - curve.fit.coefficients)
+        assert shares[0] == pytest.approx(1.01, abs=1e-4)
+        named = dict(zip((row.name for row in curve.rows), shares, strict=True))
+        assert plain.complete(row_of(plain, **named))[0, columns] == pytest.approx(wanted, rel=1e-9)
+        # Two independent rows have the covariance of the two coefficients, but for the tails of few points.
+        moves = curve.changes * np.array(curve.errors)[:, None]
+        ratio = moves.T @ moves / curve.fit.covariance
+        assert np.ptp(ratio) == pytest.approx(0, abs=1e-6)
+        # Student's t at one in a thousand with 18 degrees of freedom: 3.61 instead of 3.09.
+        assert ratio[0, 0] == pytest.approx((3.61 / 3.09) ** 2, rel=0.05)
+
+
+def test_what_follows_is_completed_once(path):
+    problem = problem_of(*bench_of(path))
+    drawn = problem.space.full(np.random.default_rng(1).random((4, len(problem.space.free))))
+    whole = problem.complete(drawn)
+    np.testing.assert_array_equal(problem.complete(whole), whole)
+    column = problem.space.table.index
+    np.testing.assert_array_equal(whole[:, column["torque_constant"]], whole[:, column["back_emf_constant"]])
+
+
+def test_a_supply_that_every_log_reads_does_not_count(path):
+    # Points without volts and trials without volts: the reference cancels.
+    for log in ("no-load-forward.csv", "no-load-reverse.csv"):
+        scaled(path.with_name(log), "Voltage", 0.0)
+    space = problem_of(*bench_of(path)).space
+    assert "reference_voltage" not in space.stated
+    assert "back_emf_constant" in space.stated
+
+
+def test_curves_of_the_trials_themselves_measure_nothing_beside_them(path):
+    text = re.sub(r"(?s)\[curves\].*?(?=\[fit\])", "", path.read_text(encoding="utf-8"))
+    path.write_text(text, encoding="utf-8")
+    problem = problem_of(*bench_of(path))
+    assert {*problem.space.stated} == {"back_emf_constant", "rotor_inertia"}
+    # Their errors are disturbances of the intervals.
+    assert problem.common >= 2
+
+
+@pytest.mark.parametrize(("key", "text", "words"), [
+    ("kv", '"960 ± -20 rpm/V"', "motor.kv: the error in '960 ± -20 rpm/V' is negative"),
+    ("kv", '"960 ± 2000 rpm/V"', "motor.kv: the error in '960 ± 2000 rpm/V' is larger than the value"),
+    ("kv", '"960 rpm/V ± 2 V"', "motor.kv: the error in '960 rpm/V ± 2 V': unit 'V' is not a 'rad/s/V'"),
+    ("kv", '"960 ± 20"', "motor.kv: '960' has no unit; write kv = "),
+    ("rotor_inertia", '"2.7e-5 kg·m² ± 1 g"', "motor.rotor_inertia: the error in "),
+    ("rotor_inertia", '"2.7e-5 kg·m² ± some"', "motor.rotor_inertia: the error in "),
+    ("reference_voltage", '"11.1 ± 200 %"', "motor.reference_voltage: "),
+    ("unit", '"us ± 1"', "command.unit: "),
+    ("minimum", '"1000 ± 5"', "command.minimum: expected a number, found '1000 ± 5'"),
+    ("direction", '"forward ± 1"', "trials['forward-1'].direction: "),
+    ("start", '"20 s ± 1 ms"', "trials['forward-1'].start: '20 s ± 1 ms' states an error"),
+])  # fmt: skip
+def test_an_error_that_cannot_be_is_refused_with_its_key(key, text, words, path):
+    written = re.sub(rf"(?m)^{key} = [^#\n]*", f"{key} = {text} ", path.read_text(encoding="utf-8"), count=1)
+    path.write_text(written, encoding="utf-8")
+    with pytest.raises(CampaignError) as refusal:
+        read_campaign(path)
+    assert str(refusal.value).startswith(f"{path}: {words}"), str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_the_dead_band_states_no_error(path):
+    path = edited(path, (r"^\[command\]", 'saturation_current = "0.35 ± 0.01 A"\n[command]'))
+    with pytest.raises(CampaignError, match=r"motor\.saturation_current: '0\.35 ± 0\.01 A' states an error"):
+        read_campaign(path)
+
+
+def test_a_lab_states_what_it_draws(path):
+    lab = misstated(path.with_name("campaign.toml"), 1, name="lab.toml", errors=MOTOR_LAB)
+    assert len(re.findall(" ± ", lab.read_text(encoding="utf-8"))) == len(MOTOR_LAB)
