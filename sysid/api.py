@@ -207,6 +207,7 @@ class Campaign:
         `surface` overrides a gear campaign's friction law. The file is read again. Raises SysidError when
         an input cannot be used.
         """
+        threads = python_options(TrustOptions, {"threads": threads}).threads
         return Judgement(check_campaign(self.path, surface=surface, threads=threads))
 
 
@@ -506,7 +507,7 @@ def _checked(name: str, value: object, hint: Any) -> object:
         if isinstance(mark, Flag) and (mark.read or unit):
             return mark.read(value, name) if mark.read else mark.quantity(value, name)
         if Path in (plain, *get_args(plain)):
-            value = Path(value)
+            value = path_of(value, f"a file or folder for {name}")
     if isinstance(value, Real) and not isinstance(value, bool):
         # numpy's numbers too
         value = int(value) if isinstance(value, Integral) else float(value)

@@ -172,7 +172,7 @@ class Document(Part):
     ) -> Self:
         name, number = (cls.model_fields[field].default for field in ("schema_", "version"))
         head = content if isinstance(content, dict) else {}
-        if head.get("schema") != name:
+        if head.get("schema") != name or not isinstance(head.get("version"), int | None):
             raise error_type(f"{place}: not {cls.WHAT} of sysid; {cls.REMEDY}")
         old = head.get("version")
         while head.get("version") in cls.MIGRATIONS:

@@ -12,6 +12,8 @@ from typing import Self
 # Control characters, line separators, and marks that turn the direction of text.
 _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _LONG = re.compile(r"\S{400,}")
+# Longest refusal [characters]: a hostile file is not quoted whole.
+_LONGEST = 4000
 
 
 def printable(text: str) -> str:
@@ -30,6 +32,10 @@ class SysidError(Exception):
     """
 
     needs: Mapping[str, object] = MappingProxyType({})
+
+    def __str__(self) -> str:
+        text = printable(super().__str__())
+        return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
 
     def asking(self, **needs: object) -> Self:
         """Return the refusal, which asks for loader options."""

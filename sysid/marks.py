@@ -16,7 +16,7 @@ from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
-from annotated_types import Ge
+from annotated_types import Ge, Le
 
 from sysid.errors import CampaignError, SysidError, UnitError
 from sysid.units import parse_quantity
@@ -47,7 +47,8 @@ class Flag:
 
     The user reads `help`, under the heading `panel` where a command has many options. A field with a `unit`
     takes quantities such as ``"20 deg"``; a bare number is in that unit, and the field's value in SI. `least`
-    is the smallest number that is accepted, in that unit. `read` makes the field's value from the text that
+    is the smallest number that is accepted, in that unit, `most` the largest whole number.
+    `read` makes the field's value from the text that
     the user gives and the name of the option. The help shows `default`, or the field's default.
     """
 
@@ -56,12 +57,13 @@ class Flag:
         help: str,
         *names: str,
         least: float | None = None,
+        most: int | None = None,
         unit: str = "",
         read: Callable[[str, str], object] | None = None,
         default: str = "",
         panel: str = "",
     ) -> None:
-        self.help, self.names, self.least, self.unit = help, names, least, unit
+        self.help, self.names, self.least, self.most, self.unit = help, names, least, most, unit
         self.read, self.default, self.panel = read, default, panel
 
     def spelled(self, field: str) -> tuple[str, ...]:
@@ -86,7 +88,8 @@ class Flag:
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         # The rest of a mark is for texts, which are read before pydantic checks the value.
         least = None if self.least is None else self.least * _SI.get(self.unit, 1.0)
-        return handler(source if least is None else Annotated[source, Ge(least)])
+        source = source if least is None else Annotated[source, Ge(least)]
+        return handler(source if self.most is None else Annotated[source, Le(self.most)])
 
 
 def mark_of(hint: object) -> Argument | Flag | None:
@@ -162,6 +165,8 @@ def span(text: str, name: str, unit: str = "1") -> tuple[float, ...]:
     refusal.
     """
     values: list[float] = []
+    if not isinstance(text, str):
+        raise CampaignError(f"{name} {text!r:.60}: expected a text such as '0:45:1' or '5,10,20'")
     parts = re.split("[:,]", text)
     behind = parts[-1].strip().lstrip("+-.0123456789eE")
     if behind and len(parts) > 1 and all(_is_number(part) for part in parts[:-1]):

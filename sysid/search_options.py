@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt
 
 from sysid.marks import Flag, seconds
 
@@ -29,15 +29,15 @@ _PANEL, _CAMPAIGN = "Search", "the campaign's"
 class CampaignSearch:
     """Options that a campaign may state in ``[fit]``; those with a flag, a command and Python as well."""
 
-    # Individuals per generation of the first stage [1]; 0 stands for the algorithm's own number.
+    # Individuals per generation of the first stage [1]; 0 stands for the algorithm's own number. The largest
+    # takes 1 GB of memory, for the distances between all pairs.
     population: Annotated[
         int,
-        Flag("Individuals per generation.", least=8, default="the algorithm's", panel=_PANEL),
-        Le(100_000),
+        Flag("Individuals per generation.", least=8, most=10_000, default="the algorithm's", panel=_PANEL),
     ] = 0
     # Independent runs [1]; the paper uses 5.
     runs: Annotated[
-        int, Flag("Number of independent runs.", least=1, default=_CAMPAIGN, panel=_PANEL), Le(1000)
+        int, Flag("Number of independent runs.", least=1, most=1000, default=_CAMPAIGN, panel=_PANEL)
     ] = 5
     # Seed of the fit; every run draws from another child of it.
     seed: Annotated[int, Flag("Seed of the random numbers.", least=0, default=_CAMPAIGN, panel=_PANEL)] = 1

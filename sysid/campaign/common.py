@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -235,11 +236,20 @@ class CampaignSource:
     text: str
 
 
+def _file_name(name: str) -> str:
+    # The fit's folder takes it, on every system.
+    if name.endswith(".") or re.fullmatch(r"(?i)(con|prn|aux|nul|com\d|lpt\d)(\..*)?", name):
+        raise ValueError(f"{name!r} is no name of a folder on Windows; choose another")
+    return name
+
+
 class CampaignTable(TomlTable):
     """Top level of every campaign; `source` is the file that it was read from."""
 
     kind: str
-    name: str = Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*$")
+    name: Annotated[str, AfterValidator(_file_name)] = Field(
+        min_length=1, max_length=100, pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*$"
+    )
     parameters: ParameterChoices = ParameterChoices()
     trials: tuple[TrialTable, ...]
     _source: CampaignSource = PrivateAttr()

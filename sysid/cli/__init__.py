@@ -36,7 +36,7 @@ def main() -> None:
     except SysidError as error:
         if debug:
             raise
-        typer.echo(f"error: {printable(' '.join(str(error).split()))}", err=True)
+        typer.echo(f"error: {' '.join(str(error).split())}", err=True)
         sys.exit(2)
     except Exception as error:
         if debug:

@@ -142,7 +142,8 @@ def _parameters(
                 default = default if required else None
             least = None if mark.unit else mark.least
             info = typer.Option(
-                *mark.spelled(name), help=help, min=least, show_default=shown, metavar=shown_as,
+                *mark.spelled(name), help=help, min=least, max=mark.most, show_default=shown,
+                metavar=shown_as,
                 rich_help_panel=mark.panel or panel or None,
             )  # fmt: skip
         kind = list[kind] if values else kind  # type: ignore[valid-type]

@@ -155,6 +155,9 @@ def _check(stage: StageHistory, start: Start, n_free: int) -> None:
         and stage.failed.shape == (generations,) == (len(stage.causes),)
         and all(array.dtype == np.float64 and np.all(np.isfinite(array)) for array in numbers)
         and stage.failed.dtype == np.int64
+        # No candidate costs less than nothing, and no work takes less than no time.
+        and min(stage.cost.min(), stage.failed.min(), stage.evaluations, stage.simulations) >= 0
+        and 0 <= stage.wall_time < np.inf
         and stage.stop_reason in REASONS
     )
     if not fits:

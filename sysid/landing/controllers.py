@@ -95,6 +95,8 @@ class Controller:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "steps", tuple(self.steps))
+        if not isinstance(self.ideal_reversal, bool):
+            raise CampaignError(f"ideal_reversal = {self.ideal_reversal!r:.60}: expected true or false")
         times = [step.after for step in self.steps]
         commands = [u for step in self.steps for u in (step.rear, step.front)]
         if not times or times != sorted(times) or not all(0 <= t < math.inf for t in times):
@@ -177,7 +179,7 @@ def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing
     ``impulse:delay=50ms,duration=0.1``; a number without unit is SI. Raises `CampaignError` for a controller
     or options that are not known, and for steps that are out of order or no commands.
     """
-    name, _, options = text.partition(":")
+    name, _, options = str(text).partition(":")
     recipe = CONTROLLERS.get(name.strip())
     if recipe is None:
         raise CampaignError(f"no controller {name!r}; known are {', '.join(CONTROLLERS)}")

@@ -6,7 +6,7 @@ A format names the options that it takes; `sysid.loaders.load`, the refusals and
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, get_type_hints
@@ -80,7 +80,8 @@ def _columns(value: object) -> object:
 
 def is_positive(value: object) -> bool:
     """Return whether an option is a number, finite and greater than 0."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+    # Of whole numbers, those that have a place among floating-point numbers.
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= sys.float_info.max
 
 
 def _positive(value: object) -> object:

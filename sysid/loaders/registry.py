@@ -239,13 +239,15 @@ def load(path: str | Path, *, format: str = "auto", **options: object) -> Record
         One sentence with file, line and cause.
     """
     source = Source(path)
+    if not isinstance(format, str):
+        raise LogError(f"{source.path}: format = {format!r:.60} is no text; expected the name of a format")
     if format == "auto":
         chosen = _detect(source)
     else:
         known = _built_in()  # looking through all installed packages takes longer than most logs
         known = known if format in known else formats()
         if format not in known:
-            hint = _hint(str(format), known)
+            hint = _hint(format, known)
             raise LogError(f"{source.path}: unknown format {format!r}; known are {', '.join(known)}{hint}")
         chosen = known[format]
     if chosen.read.__module__.startswith("sysid."):  # another package's format may be an archive
@@ -261,7 +263,7 @@ def load(path: str | Path, *, format: str = "auto", **options: object) -> Record
     for name, value in given.items():
         option = DECLARED.get(name, Option(""))
         choices = () if chosen.takes is None else chosen.takes[name] or option.choices
-        if choices and value not in choices:
+        if choices and not (isinstance(value, str) and value in choices):
             expected = " or ".join(", ".join(f'"{word}"' for word in choices).rsplit(", ", 1))
             raise LogError(f"{source.path}: {name} = {value!r} is unknown; expected {expected}")
         if option.unit and isinstance(value, str):

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from sysid.errors import CampaignError
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
 from sysid.landing.maps import Fleets, landing_maps
 from sysid.landing.outcomes import OUTCOMES
@@ -72,7 +73,7 @@ def landing_map(
     `controllers` as for ``sysid landing-map``. Raises `SysidError` when an input cannot be used.
     """
     fleets, settings = _opened(gears, MotorOptions(path_of(motor, "the motor's sets")), slopes, speeds)
-    chosen = chosen_controllers(controllers, settings.rules.horizon)
+    chosen = chosen_controllers(_several(controllers, "controllers"), settings.rules.horizon)
     maps = landing_maps(fleets, chosen, settings)
     stated = {"rules": asdict(settings.rules), "static_limits": limits_of(fleets, chosen)}
     return LandingMaps(MapFile(maps, (), stated, {}))
@@ -107,4 +108,13 @@ def _opened(
     gears: Sequence[str | Path], motors: MotorOptions, slopes: str, speeds: str
 ) -> tuple[Fleets, MapSettings]:
     settings = MapSettings(span(slopes, "slopes"), span(speeds, "speeds"), check=False)
-    return open_fleets(motors, [path_of(gear, "the gear's sets") for gear in gears])[0], settings
+    paths = [path_of(gear, "the gear's sets") for gear in _several(gears, "gears")]
+    return open_fleets(motors, paths)[0], settings
+
+
+def _several(given: Any, what: str) -> Sequence[Any]:
+    """Return a list; one text or path alone is a list of one."""
+    given = [given] if isinstance(given, str | Path) else given
+    if not isinstance(given, list | tuple) or not given:
+        raise CampaignError(f"{what}: expected a list of one or more, found {given!r:.60}")
+    return given

@@ -53,6 +53,7 @@ def test_floats_come_back_bit_for_bit(values):
         ('{"schema": "other"}', "not a note of sysid; run sysid note again"),
         ("[1]", "not a note of sysid"),
         ('{"schema": "sysid-note", "version": 1}', "version 1, expected 2"),
+        ('{"schema": "sysid-note", "version": [[1]]}', "not a note of sysid"),
         ('{"schema": "sysid-note", "version": 2, "val', "damaged or cut off"),
         ("[" * 100_000, "damaged or cut off .*recursion"),
         ('{"schema": "sysid-note", "version": ' + "9" * 5000 + "}", "damaged or cut off .*digits"),

@@ -136,6 +136,7 @@ FORGED = {
     "another number of parameters": lambda columns: (columns[0][:, :, :2], *columns[1:]),
     "too few costs": lambda columns: (columns[0], columns[1][:3], *columns[2:]),
     "costs that are no numbers": lambda columns: (columns[0], np.full_like(columns[1], np.nan), *columns[2:]),
+    "a cost below nothing": lambda columns: (columns[0], columns[1] - 99.0, *columns[2:]),
     "costs as text": lambda columns: (columns[0], columns[1].astype(str), *columns[2:]),
     "no generation": lambda columns: (columns[0][:0], columns[1][:0], columns[2][:0], *columns[3:]),
     "a start in another space": lambda columns: (*columns[:4], np.ones(7), columns[5]),

@@ -125,6 +125,13 @@ def test_a_campaign_without_end_is_refused(value, tmp_path):
         read_campaign(path)
 
 
+@pytest.mark.parametrize("name", ["CON", "nul.a", "Com1", "fit."])
+def test_a_name_that_no_folder_may_have_everywhere_is_refused(name, tmp_path):
+    text = re.sub(r'(?m)^name = ".*?"', f'name = "{name}"', TEMPLATES["gear"], count=1)
+    with pytest.raises(CampaignError, match="is no name of a folder on Windows"):
+        read_campaign(_write(tmp_path, text))
+
+
 def test_wrong_kind_and_missing_files(tmp_path):
     path = _write(tmp_path, TEMPLATES["gear"])
     with pytest.raises(CampaignError, match="expected motor; use 'sysid fit-gear'"):

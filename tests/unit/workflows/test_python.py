@@ -62,6 +62,29 @@ def test_what_is_no_rank_no_kind_and_no_number_is_refused(gear):
             sysid.simulate_drop(gear, slope=slope, speed="0.5 m/s")
 
 
+def test_options_of_another_kind_are_refused_in_a_short_sentence(gear, motor):
+    log, campaign = SAMPLES / "motor" / "forward-1.csv", SAMPLES / "gear-lf"
+    gears, motors = [PUBLISHED / "published-gear-lf.json"], PUBLISHED / "published-motor.json"
+    for call, words in (
+        (lambda: sysid.load_log(log, format=[]), "format = [] is no text"),
+        (lambda: sysid.load_log(log, rate=10**400), "is no sample rate"),
+        (lambda: sysid.load_log(log, time_back=np.arange(2)), "time_back = array"),
+        (lambda: sysid.load_log(log, rate="a" * 5000), "rate = 'aaa"),
+        (lambda: sysid.fit_gear(campaign, population=10**9), "expected at most 10000"),
+        (lambda: sysid.fit_gear(campaign, runs=10**9), "expected at most 1000"),
+        (lambda: sysid.Campaign.read(campaign).check(threads="2"), "threads = '2'"),
+        (lambda: sysid.landing_map(gears, motors, slopes=5), "slopes 5: expected a text"),
+        (lambda: sysid.landing_map([], motors), "gears: expected a list of one or more"),
+        (lambda: sysid.landing_map(gears, motors, controllers=3), "controllers: expected a list"),
+        (lambda: sysid.simulate_landing(gear, motor, 0.1, 0.5, ideal_reversal="no"), "true or false"),
+        (lambda: sysid.simulate_landing(gear, motor, 0.1, 0.5, controller_file="a" * 5000), "is no path"),
+    ):
+        with pytest.raises(sysid.SysidError) as refusal:
+            call()
+        assert words in str(refusal.value)
+        assert len(str(refusal.value)) < 1500
+
+
 @pytest.mark.parametrize("module", [api, kinds])
 def test_every_example_of_the_documentation_runs(tmp_path, monkeypatch, module):
     monkeypatch.chdir(tmp_path)
