@@ -46,7 +46,7 @@ _SHARES = 4
 # How often a chunk is submitted before the cluster is given up.
 ATTEMPTS = 6
 # How long to wait without any worker [s]; they may be on their way from a queue. First it is said.
-PATIENCE, SAID_AFTER = 120.0, 10.0
+PATIENCE, SAID_AFTER = 30.0, 10.0
 # Loggers whose lines on a lost connection say less than the refusal that follows.
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application", "asyncio")
 _LOOK = 2.0

@@ -1,19 +1,22 @@
 """The command line: options in, one call, one table out.
 
 A refusal is one sentence on standard error and exit code 2. An exception that nobody foresaw is one as well,
-with exit code 1, and its trace is in a file. ``--debug`` shows the traceback instead.
+with exit code 1, and its trace is in a file. ``--debug`` shows the traceback instead. A reader that closes
+the pipe, as ``head`` does, ends a command in silence.
 """
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 import tempfile
 import traceback
+from contextlib import suppress
 
 import typer
 
-from sysid.cli.root import app, say
+from sysid.cli.root import CLOSED_PIPE, app, say
 from sysid.errors import SysidError, printable
 from sysid.journal import heard_warnings
 
@@ -23,26 +26,52 @@ from sysid.cli import logs, fits, landing  # noqa: F401  # isort: skip
 
 def main() -> None:
     """Run the command line; the entry point of ``sysid``."""
-    for stream in (sys.stdout, sys.stderr):
+    out = sys.stdout
+    for stream in (out, sys.stderr):
         # A Windows console may not be able to write Ω or ²: better a question mark than a traceback.
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
     debug = "--debug" in sys.argv
     if debug:  # anywhere on the line
         sys.argv = [argument for argument in sys.argv if argument != "--debug"]
+    code: int | str | None = 0
+    refusal = ""
     try:
         with heard_warnings(lambda sentence: say(f"warning: {sentence}")):
             app()
+    except SystemExit as stop:
+        # click answers a closed pipe with code 1.
+        code = CLOSED_PIPE if isinstance(stop.__context__, BrokenPipeError) else stop.code
     except SysidError as error:
         if debug:
             raise
-        typer.echo(f"error: {' '.join(str(error).split())}", err=True)
-        sys.exit(2)
+        code, refusal = 2, str(error)
     except Exception as error:
         if debug:
             raise
-        typer.echo(f"error: {_bug(error)}", err=True)
-        sys.exit(1)
+        try:
+            if isinstance(error, OSError):
+                # Was it the output? Its buffer does not say so again.
+                print(file=out, flush=True)
+        except OSError:
+            code, refusal = 2, _unwritten(error)
+        else:
+            code, refusal = 1, _bug(error)
+    try:
+        out.flush()
+    except OSError as error:
+        # Python itself would flush again when it ends, and complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
+        closed = isinstance(error, BrokenPipeError)
+        code, refusal = (CLOSED_PIPE, "") if closed else (2, _unwritten(error))
+    if refusal:
+        with suppress(OSError):
+            typer.echo(f"error: {printable(' '.join(refusal.split()))}", err=True)
+    sys.exit(code)
+
+
+def _unwritten(error: Exception) -> str:
+    return f"the output cannot be written ({error}); name another place for it"
 
 
 def _bug(error: Exception) -> str:

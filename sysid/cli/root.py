@@ -23,12 +23,15 @@ GROUPS = {
 }  # fmt: skip
 # The exit code of a result that calls for a look.
 FLAGGED = 3
+# The exit code after the reader of a pipe has closed it: that of programs which SIGPIPE ends.
+CLOSED_PIPE = 141
 EXIT_CODES = {
     0: "done",
     1: "a bug of sysid; the line names the file with its trace",
     2: "refused: one sentence says what, where, and what to do next",
     FLAGGED: "flagged by validate or cross-validate; an unfinished fit with --strict",
-    130: "stopped with Ctrl-C",
+    130: "stopped with Ctrl-C or SIGTERM",
+    CLOSED_PIPE: "the reader of a pipe closed it",
 }
 _CODES = "\n".join(f"  {code:<4} {meaning}" for code, meaning in EXIT_CODES.items())
 _EPILOG = f"""Quantities carry a unit, as in --slope "20 deg" and --speed "0.5 m/s"; a bare number is in the

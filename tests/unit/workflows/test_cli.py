@@ -2,6 +2,7 @@
 
 import ctypes
 import json
+import os
 import re
 import signal
 import subprocess
@@ -463,3 +464,19 @@ def test_a_fit_that_its_budget_cut_is_not_listed_as_done(tmp_path, run):
         "whole": "done",
     }
     assert "runs of a cut fit ended by their budget" in run("fits", tmp_path)[1]
+
+
+@pytest.mark.parametrize("arguments", [["-h"], ["formats"], ["formats", "--json"]])
+def test_a_closed_pipe_is_silent_and_a_full_output_is_no_bug(arguments):
+    command = [sys.executable, "-m", "sysid", *arguments]
+    reader, writer = os.pipe()
+    os.close(reader)
+    closed = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (closed.returncode, closed.stderr) == (141, "")
+    if Path("/dev/full").exists():
+        with open("/dev/full", "w") as full:
+            done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+        assert done.returncode == 2
+        assert done.stderr.startswith("error: the output cannot be written (")
+        assert done.stderr.count("\n") == 1
