@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -145,6 +145,15 @@ def measured_values(campaign: GearCampaign) -> dict[str, float]:
     for table in (campaign.vehicle, campaign.surface):
         stated |= table.model_dump(exclude_unset=True, exclude_none=True)
     return {name: stated[name] for name in PARAMETERS if name in stated}
+
+
+@lru_cache(maxsize=8)
+def _correlation(drop: PreparedDrop, channels: tuple[int, ...]) -> NoiseModel:
+    """Return the correlations of the noise of a drop as compared."""
+    signals = noise_signals(drop)
+    n = len(signals)
+    blocks = [Block(0, c, k * n, (k + 1) * n, n, 1.0, 1.0, 1.0) for k, c in enumerate(channels)]
+    return noise_model(blocks, np.concatenate([signals[:, c] for c in channels]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,11 +309,7 @@ class GearProblem(Problem):
 
     def correlation(self) -> NoiseModel:
         """Return the correlations of the noise as compared, from noise that is filtered like a log."""
-        signals = noise_signals(self.drops[0])
-        used = sorted({block.channel for block in self.blocks})
-        n = len(signals)
-        blocks = [Block(0, c, k * n, (k + 1) * n, n, 1.0, 1.0, 1.0) for k, c in enumerate(used)]
-        model = noise_model(blocks, np.concatenate([signals[:, c] for c in used]))
+        model = _correlation(self.drops[0], tuple(sorted({block.channel for block in self.blocks})))
         shortest = min(block.stop - block.start for block in self.blocks)
         return NoiseModel(model.channels, model.covariance[:, :, : max(2, shortest // 3)])
 
