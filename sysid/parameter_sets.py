@@ -587,12 +587,17 @@ class ParameterSets(SetsContent, Shown):
 
     def document(self) -> SetsDocument:
         """Return the whole as one JSON document."""
-        free = [i for i, record in enumerate(self.parameters) if record.status == "free"]
+        # A stated value that moves may end at a bound as well.
+        flagged = [
+            i
+            for i, record in enumerate(self.parameters)
+            if record.status == "free" or self.at_bound[:, i].any()
+        ]
         sets = [
             OneSet(
                 rank=s + 1, run=self.runs[s], seed=self.seeds[s], nrmse=self.nrmse[s],
                 values=self.set_values(s + 1),
-                at_bound={self.names[i]: int(self.at_bound[s, i]) for i in free},
+                at_bound={self.names[i]: int(self.at_bound[s, i]) for i in flagged},
                 nrmse_by_trial={
                     trial: dict(zip(self.channels, row, strict=True))
                     for trial, row in zip(self.trials, self.nrmse_by_trial[s].tolist(), strict=True)

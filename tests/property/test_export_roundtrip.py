@@ -52,7 +52,7 @@ def parameter_sets(draw):
         )
         for name in names
     ]
-    free = np.array([record.status == "free" for record in records])
+    moves = np.array([record.status in ("free", "stated") for record in records])
     flags = draw(hnp.arrays(np.int8, (n_sets, len(names)), elements=st.integers(-1, 1)))
     return ParameterSets(
         kind=draw(st.sampled_from(["motor", "gear"])),
@@ -62,7 +62,7 @@ def parameter_sets(draw):
         nrmse=array(n_sets),
         runs=draw(st.lists(st.integers(0, 99), min_size=n_sets, max_size=n_sets)),
         seeds=draw(st.lists(st.integers(0, 2**64 - 1), min_size=n_sets, max_size=n_sets)),
-        at_bound=np.where(free, flags, 0),
+        at_bound=np.where(moves, flags, 0),
         trials=tuple(trials),
         uses=tuple(draw(st.sampled_from(["fit", "validate"])) for _ in trials),
         channels=tuple(channels),
