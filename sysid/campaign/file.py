@@ -72,7 +72,7 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
     if unfilled:
         raise CampaignFileError(
             f"{path}: still TODO: {', '.join(unfilled)}; measure each and write it with its unit "
-            "('sysid new-campaign' says how)"
+            f"('sysid new-campaign {stated}' writes a file that says how)"
         )
     try:
         campaign: Campaign = _KINDS[stated].model_validate(data)  # type: ignore[assignment]

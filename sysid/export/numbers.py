@@ -95,6 +95,8 @@ _AT_FULL = 5e-3
 _X = "over the command"
 _CURVE = f"thrust t = {{0}} x² + (1 - {{0}}) x {_X} x, off by {{{{off:.1f}}}} % at worst; "
 _TOP = "loaded steady speed at full command"
+# First words of what a flight controller takes where no motor says otherwise.
+_ITS_DEFAULT = "ArduPilot's default"
 
 TARGETS: Mapping[str, Format] = {
     "gazebo": Format(
@@ -171,10 +173,11 @@ TARGETS: Mapping[str, Format] = {
         (
             Number("MOT_THST_EXPO", "1", _CURVE.format("MOT_THST_EXPO") + "x is 0 at MOT_SPIN_MIN and 1 at "
                    "MOT_SPIN_MAX", lambda r: r.expo(*_spin(r))[0], lambda r: r.expo(*_spin(r))[1]),
-            Number("MOT_SPIN_MIN", "1", f"ArduPilot's default, or where thrust begins {_X} if that is higher",
+            Number("MOT_SPIN_MIN", "1", f"{_ITS_DEFAULT}, or where thrust begins {_X} if that is higher",
                    lambda r: _spin(r)[0]),
-            Number("MOT_SPIN_MAX", "1", "ArduPilot's default, or from where on thrust does not rise any more "
-                   f"{_X}", lambda r: _spin(r)[1]),
+            Number("MOT_SPIN_MAX", "1", f"{_ITS_DEFAULT}, or from where on thrust does not rise any more "
+                   f"{_X}",
+                   lambda r: _spin(r)[1]),
         ),
     ),
 }  # fmt: skip
@@ -350,13 +353,19 @@ def numbers_for(
         form.numbers, values.tolist(), guesses, below, above, unsure, strict=True
     ):
         value, why, law = number_value, "", number.law
-        lacking = guessed_ones or ([] if commanded or _X not in number.law else ["command"])
+        if not commanded and law == _TOP:
+            law = "fastest steady speed of the logs, none of which has a command"
+        elif not commanded and law.startswith(_ITS_DEFAULT):
+            law = f"{_ITS_DEFAULT}: without a logged command nothing shows whether this motor needs another"
+        lacking = guessed_ones or ([] if commanded or _X not in law else ["command"])
         if math.isnan(value) or lacking:
             value = math.nan
             why = (
                 f"{number.name} cannot be given: {', '.join(lacking or unknown)} not measured; record what "
                 "determines it, or state it in the campaign, and fit again"
             )
+            if lacking == ["command"]:
+                why = f"{number.name} cannot be given: no log has a command; record it beside the speed"
         elif times and "lag nearest" in law:
             law = "median over the steps of the logs, which show it without the model"
         else:
@@ -367,7 +376,7 @@ def numbers_for(
         rows.append(Given(number.name, number.unit, value, pair, law, why))
     if all(row.why_not or not callable(number.value) for row, number in zip(rows, form.numbers, strict=True)):
         raise ExportError(f"{sets.name}, set {rank}: {rows[0].why_not}")
-    notes = (*_notes(sets, rotor, supply), *_limited(form, rotor, supply))
+    notes = (*_notes(sets, rotor, supply, commanded), *_limited(form, rotor, supply))
     return TargetNumbers(target, sets.name, rank, tuple(rows), _check(form, rotor, mass), notes)
 
 
@@ -483,7 +492,9 @@ def _limited(form: Format, rotor: FirstOrderRotor, law: Mapping[str, Any]) -> It
     )
 
 
-def _notes(sets: ParameterSets, rotor: FirstOrderRotor, law: Mapping[str, Any]) -> tuple[str, ...]:
+def _notes(
+    sets: ParameterSets, rotor: FirstOrderRotor, law: Mapping[str, Any], commanded: bool
+) -> tuple[str, ...]:
     """Return what holds for all numbers: what is exact, full command and its supply, the fit's verdict."""
     stand = sets.settings.get("stand", {})
     calibration, curves = stand.get("calibration"), stand.get("curves", ())
@@ -529,7 +540,12 @@ def _notes(sets: ParameterSets, rotor: FirstOrderRotor, law: Mapping[str, Any]) 
             f"Full command lies beyond the logs, which end at {100 * last:.3g} % of it with "
             f"{rounded(fastest)} rad/s: what is stated of full command is extrapolated from the last levels."
         )
-    if protocol:
+    if not commanded:
+        out.append(
+            "No log has a command: full command stands for the fastest steady speed of the logs, "
+            f"{rounded(rotor.maximum_speed)} rad/s at {volts:.4g} V, which the motor may exceed."
+        )
+    elif protocol:
         start = command["neutral"] if command.get("bidirectional") else command["minimum"]
         unit = "" if command["unit"] == "1" else f" {command['unit']}"
         where = f" at {100 * last:.3g} % of full command" if law else ""

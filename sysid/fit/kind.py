@@ -81,7 +81,7 @@ def _as_found(problem: Problem, course: Course) -> FitOutcome:
 def _begin(problem: Problem) -> None:
     count = len(problem.fitted.trials)
     free = ", ".join(problem.space.names)
-    tell(f"{count} trials to fit, {len(problem.trials) - count} to validate; free: {free}")
+    tell(f"{count} trial{'s' * (count != 1)} to fit, {len(problem.trials) - count} to validate; free: {free}")
 
 
 @dataclass(frozen=True)

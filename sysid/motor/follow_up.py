@@ -103,7 +103,7 @@ def begin_fit(problem: MotorProblem) -> None:
     late = sum(trial not in bench.fitted for trial in bench.banded) if band is not None else 0
     free = ", ".join(row.name for row in space.found)
     tell(
-        f"{searched} trials to fit, {f'{late} for the dead band, ' if late else ''}"
+        f"{searched} trial{'s' * (searched != 1)} to fit, {f'{late} for the dead band, ' if late else ''}"
         f"{len(bench.trials) - searched - late} to validate; free: {free}"
     )
     if space.stated:
@@ -320,6 +320,8 @@ def _about_saturation(
         f"dead band from {parts} of {trials}: I_sat {best['saturation_current']:.3g} A below "
         f"{best['saturation_speed']:.3g} rad/s; NRMSE there {100 * band.without[0]:.2f} % without, "
         f"{100 * band.nrmse[0]:.2f} % with it"
+        + "; the NRMSE of the sets counts the starts, that of the search did not"
+        * ("starts" in parts)
     )
     if not band.felt:
         notice(

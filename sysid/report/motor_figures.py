@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,11 +119,14 @@ def command_panel(trial: TrialResult, inside: BoolArray) -> Panel:
     return Panel("command", "%", [Curve("command", 100 * level, "blue", "steps")], low=True)
 
 
-def curve_views(stated: Sequence[Mapping[str, Any]], points: Points) -> tuple[list[View], list[View]]:
+def curve_views(
+    stated: Sequence[Mapping[str, Any]], points: Points, maps: Container[str] = ()
+) -> tuple[list[View], list[View]]:
     """Return static curves with their points: over the speed [rad/s], and over the command [1].
 
     `stated` are documents of `sysid.motor.static_curves.CurveFit`. Each view has the curve of both directions
-    and below what the points lie off it.
+    and below what the points lie off it. In the directions of `maps` the fit follows the steady levels
+    instead of the no-load line.
     """
     loaded: list[View] = []
     bare: list[View] = []
@@ -145,7 +148,9 @@ def curve_views(stated: Sequence[Mapping[str, Any]], points: Points) -> tuple[li
                 off = y - factor * _value(quantity, row["coefficients"], x)
                 errors.append(Curve(f"off, {direction}", off, colour, "dots", x=x))
             drawn = factor * _value(quantity, row["coefficients"], place)
-            curves.append(Curve(f"curve, {direction}", drawn, colour, x=place))
+            mapped = quantity == "no_load" and direction in maps
+            label = f"{'straight line' if mapped else 'curve'}, {direction}"
+            curves.append(Curve(label, drawn, "faint" if mapped else colour, x=place))
         if not curves:
             continue
         name = quantity.replace("_", "-") + (" speed" if quantity == "no_load" else "")

@@ -112,7 +112,9 @@ class MotorReport(FitReport):
         ]
         if not stated:
             return paragraph("No static curve was fitted: the campaign states them.", "note")
-        loaded, bare = curve_views(stated, self.known.evidence)
+        laws = self.fit.settings.get("supply_law", {})
+        maps = {way for way, law in laws.items() if law["law"] == "map"}
+        loaded, bare = curve_views(stated, self.known.evidence, maps)
         left, right = (interactive(views, "static curves") if views else NOTHING for views in (loaded, bare))
         rows = [
             (
@@ -123,6 +125,12 @@ class MotorReport(FitReport):
             for row in stated
         ]
         out = columns(left, right) + definitions(rows, "how well the points lie on the curves")
+        if maps:
+            out += paragraph(
+                f"No-load, {' and '.join(sorted(maps))}: the fit does not take the grey straight line. It "
+                "follows the steady levels (Supply law); exported sets have the line.",
+                "note",
+            )
         return out if self.known.evidence else out + self._no_points
 
     @titled(

@@ -73,9 +73,11 @@ def _sets(source: str | Path) -> ParameterSets:
     """Return the sets of a fit folder or file; notice where the model does not explain them."""
     sets = load_parameter_sets(source)
     if sets.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY:
+        seen = "; thrust, torque and time constants of the stand do not depend on it"
         notice(
             "not-explained",
-            f"{source}: the model does not explain the trials, so no parameter is well known",
+            f"{source}: the model does not explain the trials, so no parameter is well known"
+            + seen * bool(sets.settings.get("stand")),
         )
     return sets
 

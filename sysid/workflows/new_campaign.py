@@ -75,9 +75,9 @@ def write_new_campaign(
                 beside = (
                     " or join it to the stand's with sysid convert --add" if report.kind == "signals" else ""
                 )
+                found = "holds single signals" if report.kind == "signals" else f"is a {report.kind} log"
                 raise CampaignError(
-                    f"{log}: is a {report.kind} log; a {kind} campaign needs {wanted}, so leave this log out"
-                    f"{beside}"
+                    f"{log}: {found}; a {kind} campaign needs {wanted}, so leave this log out{beside}"
                 )
             reports.append(report)
             if report.kind != "static-map" and (volts := recording.channels.get("voltage")) is not None:

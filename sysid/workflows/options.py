@@ -23,6 +23,8 @@ from sysid.search_options import CampaignSearch, SearchOptions
 
 # Suffixes of files in a log folder that are not logs.
 _NO_LOGS = {".toml", ".json", ".md", ".html", ".pdf", ".png", ".svg", ".py", ".cal"}
+# Names of files that speak about logs.
+_ABOUT = {"readme", "license", "licence", "copying", "notice", "changelog"}
 
 
 def campaign_file(path: Path) -> Path:
@@ -40,21 +42,27 @@ def _campaign_named(text: str, name: str) -> Path:
     return campaign_file(Path(text))
 
 
+def _no_log(path: Path) -> bool:
+    suffix = path.suffix.lower()
+    return suffix in _NO_LOGS or (suffix in ("", ".txt") and path.stem.lower() in _ABOUT)
+
+
 def log_files(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """Return logs, and those in folders by name: every file but hidden ones, campaigns, JSON and pictures.
+    """Return logs, and those in folders by name: every file but hidden ones, campaigns, JSON,
+    pictures, licences and files to read.
 
     Of several files, as ``drops/*`` names them, these are left out as well, and noticed.
     """
     out: list[Path] = []
     for path in paths:
         inside = [path]
-        if len(paths) > 1 and path.suffix.lower() in _NO_LOGS and not path.is_dir():
-            notice("no-log", f"{path}: a {path.suffix} file is no log; left out")
+        if len(paths) > 1 and _no_log(path) and not path.is_dir():
+            notice("no-log", f"{path}: is no log; left out")
             continue
         if path.is_dir():
             inside = sorted(
                 file for file in path.iterdir()
-                if file.is_file() and file.suffix.lower() not in _NO_LOGS and not file.name.startswith(".")
+                if file.is_file() and not _no_log(file) and not file.name.startswith(".")
             )  # fmt: skip
             if not inside:
                 raise LogError(f"{path}: no log in this folder; name the logs, or the folder that holds them")

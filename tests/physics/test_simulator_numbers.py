@@ -457,5 +457,14 @@ def test_the_calibration_of_the_load_cells_is_inside_the_intervals():
 
 def test_a_log_without_a_command_has_no_curve_over_it():
     (sentence,) = numbers_for(stand(), "px4").missing
-    assert sentence.startswith("THR_MDL_FAC cannot be given: command not measured; record")
-    assert [row.why_not for row in numbers_for(stand(), "gazebo").rows] == [""] * 7
+    assert sentence == "THR_MDL_FAC cannot be given: no log has a command; record it beside the speed"
+    gazebo = numbers_for(stand(), "gazebo")
+    assert [row.why_not for row in gazebo.rows] == [""] * 7
+    # Full command is nothing that these logs show, and the controller's defaults rest on none.
+    assert "fastest steady speed of the logs" in gazebo.rows[2].law
+    assert sum("No log has a command" in note for note in gazebo.notes) == 1
+    assert not any("Full command is" in note for note in gazebo.notes)
+    expo, low, high = numbers_for(stand(), "ardupilot").rows
+    assert expo.why_not
+    assert (low.value, high.value) == (0.15, 0.95)
+    assert "no log" not in low.why_not + high.why_not

@@ -7,6 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from fakes.fits import GEAR, MOTOR, made_fit
 from sysid.report.drawing import BEST, MEASURED, OTHERS, RUNS, save_figure
 from sysid.report.fit_figures import figure_convergence, figure_measured_against_simulated, trial_view
+from sysid.report.motor_figures import curve_views
 from sysid.report.plots import figure_of
 
 
@@ -136,3 +137,16 @@ def test_report_figures_are_saved_the_same_every_time(tmp_path, suffix, magic):
     data = (tmp_path / f"a{suffix}").read_bytes()
     assert data.startswith(magic)
     assert data == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def test_a_no_load_line_that_the_fit_does_not_follow_is_not_drawn_as_its_curve():
+    row = {"quantity": "no_load", "direction": "forward", "coefficients": (3000.0, 100.0)}
+    points = {"no_load_forward": (np.array([0.2, 0.5]), np.array([650.0, 1700.0]))}
+    for maps, label, colour in (
+        ((), "curve, forward", "best"),
+        ({"forward"}, "straight line, forward", "faint"),
+    ):
+        _, (view,) = curve_views([row], points, maps)
+        drawn = view.panels[0].curves[-1]
+        assert (drawn.label, drawn.colour) == (label, colour)
+        np.testing.assert_allclose(drawn.values[-1], 3100.0)
