@@ -10,6 +10,7 @@ from a child of that. The order and the interleaving of runs change nothing.
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -180,7 +181,8 @@ class _Run:
         if self.time_limit is not None:
             limits = replace(limits, time_limit=share * self.time_limit)
         if name == "least-squares":
-            limits = replace(limits, stop_tolerance=0.0)
+            # A walk breeds no generations, and its iterations are limited.
+            limits = replace(limits, stop_tolerance=0.0, max_generations=sys.maxsize)
         elif name == "cmaes":
             window = 10 + ceil(30 * len(self.objective.space.free) / population)
             limits = replace(

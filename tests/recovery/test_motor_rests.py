@@ -95,7 +95,9 @@ def test_signed_reverse_logs_are_not_suspicious(campaign_file: Path) -> None:
 
 
 def test_a_right_fit_with_rests_is_explained(campaign_file: Path, tmp_path: Path) -> None:
-    options = FitOptions(out=tmp_path / "fit", runs=1, population=40, seed=4, quiet=True, trust=False)
+    options = FitOptions(
+        out=tmp_path / "fit", runs=1, population=40, max_generations=20, seed=4, quiet=True, trust=False
+    )
     result, _ = fit_motor(campaign_file, options)
     judged = result.provenance["adequacy"]
     assert judged["verdict"] == "explained", judged["sentence"]
