@@ -48,9 +48,9 @@ class CampaignSearch:
     algorithm: Annotated[Algorithm, Flag("Search algorithm.", default=_CAMPAIGN, panel=_PANEL)] = (
         DEFAULT_ALGORITHM
     )
-    # Least squares from the best of a few generations; where more is left than noise, from the best of more
-    # generations again. CMA-ES starts from mean and spread of each run's last generation. The default was
-    # chosen by tests/benchmarks/engine.py.
+    # Least squares from the best of a few generations; where a little more is left than noise, CMA-ES along
+    # the axes of the curvature follows, where much more, the whole search and CMA-ES, which starts from mean
+    # and spread of each last generation. The default was chosen by tests/benchmarks/engine.py.
     finish: Annotated[
         Finisher,
         Flag("Let this follow every run. 'none' is the paper's method.", default=_CAMPAIGN, panel=_PANEL),

@@ -115,9 +115,9 @@ class Checkpoint(BlockStore):
         if columns is None:
             return None
         try:
-            cube, cost, failed, mean, spread, texts = columns
+            cube, cost, failed, mean, spread, axes, texts = columns
             stage = StageHistory(cube=cube, cost=cost, failed=failed, **exact_json.loads(str(texts)))
-            start = Start(mean, spread)
+            start = Start(mean, spread, axes if len(axes) else None)
             _check(stage, start, n_free)
         except DAMAGE as error:
             self.damaged(name, error)
@@ -140,7 +140,8 @@ def _near(then: object, now: object) -> bool:
 
 def _packed(stage: StageHistory, start: Start) -> Columns:
     texts = exact_json.dumps({name: getattr(stage, name) for name in _TEXTS}, indent=None)
-    return stage.cube, stage.cost, stage.failed, start.mean, start.spread, np.array(texts)
+    axes = np.empty((0, 0)) if start.axes is None else start.axes
+    return stage.cube, stage.cost, stage.failed, start.mean, start.spread, axes, np.array(texts)
 
 
 def _check(stage: StageHistory, start: Start, n_free: int) -> None:
@@ -153,6 +154,7 @@ def _check(stage: StageHistory, start: Start, n_free: int) -> None:
         and stage.cube.shape[2:] == start.mean.shape == start.spread.shape == (n_free,)
         and stage.cost.shape == (generations, population)
         and stage.failed.shape == (generations,) == (len(stage.causes),)
+        and (start.axes is None or start.axes.shape == (n_free, n_free))
         and all(array.dtype == np.float64 and np.all(np.isfinite(array)) for array in numbers)
         and stage.failed.dtype == np.int64
         # No candidate costs less than nothing, and no work takes less than no time.

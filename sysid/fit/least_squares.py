@@ -21,7 +21,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sysid.fit.breeders.breeder import Breeder
+from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.fit.derivatives import Layout, displaced
 from sysid.fit.problem import Problem
 from sysid.fit.stopping import StopReason
@@ -42,6 +42,10 @@ _SAME_START = 0.05
 _TOLERANCE = 2e-5
 # A model explains the trials where its NRMSE is at most this multiple of what noise costs [1].
 EXPLAINED = 1.2
+# Relative rise of the NRMSE at the ends of the axes along which CMA-ES starts after least squares [1].
+_AXIS_COST = 0.005
+# Greatest length of an axis along which CMA-ES starts [unit cube].
+_AXIS_LENGTH = 0.15
 # A channel that fits better than this is not weighted up any further: noise-free samples have no scale [1].
 LEAST_NRMSE = 1e-5
 
@@ -263,25 +267,23 @@ class MeanNrmse:
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
 STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
-# Stages where these have not come down to the noise: the beginning of a trial misleads a wrong model.
-_OF_WHOLE_WINDOWS = ((1.0, 6, 10, False), (1.0, 2, 8, True))
 
 
 class LeastSquares(Breeder):
-    """Least squares from the best distinct points of a population, over windows that grow or `whole` ones."""
+    """Least squares from the best distinct points of a population, over windows that grow."""
 
     needs_residuals = True
 
-    def __init__(self, objective: Problem, cube: FloatArray, cost: FloatArray, whole: bool = False) -> None:
+    def __init__(self, objective: Problem, cube: FloatArray, cost: FloatArray) -> None:
         """Begin at the best of a population: points (P, n_free) and costs (P,), best first."""
-        self._objective, self._stages = objective, _OF_WHOLE_WINDOWS if whole else STAGES
-        self._fronts = Fronts.at(_distinct(cube, self._stages[0][1]))
+        self._objective = objective
+        self._fronts = Fronts.at(_distinct(cube, STAGES[0][1]))
         self._scored = {point.tobytes(): float(value) for point, value in zip(cube, cost, strict=True)}
         self._walk = self._staged()
         self._asked: FloatArray | None = next(self._walk)
 
     def _staged(self) -> Walk:
-        for share, count, iterations, central in self._stages:
+        for share, count, iterations, central in STAGES:
             # The best come first; those that are left behind stay where they are.
             self._fronts.sort()
             walking = self._fronts.part(slice(count))
@@ -318,6 +320,13 @@ class LeastSquares(Breeder):
         """Why there is nothing to ask for: the walk has ended, or more is left than noise explains."""
         floor = noise_floor(self._objective.blocks)
         return "converged" if np.exp(self._fronts.cost.min() / 2) <= EXPLAINED * floor else "unexplained"
+
+    def start(self) -> Start:
+        """Return where and along which axes CMA-ES goes on: at the best front, by the cost's curvature."""
+        best = int(np.argmin(self._fronts.cost))
+        curvature, axes = np.linalg.eigh(self._fronts.curvature[best])
+        lengths = np.sqrt(2 * _AXIS_COST / np.maximum(curvature, 1e-30))
+        return Start(self._fronts.points[best], np.minimum(lengths, _AXIS_LENGTH), axes)
 
 
 def noise_floor(blocks: Sequence[Block]) -> float:

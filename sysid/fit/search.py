@@ -26,7 +26,7 @@ from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.breeders.breeder import Breeder, Keeping, Start
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.history import Generation, RunHistory, StageHistory
-from sysid.fit.least_squares import LeastSquares
+from sysid.fit.least_squares import LeastSquares, noise_floor
 from sysid.fit.problem import Problem
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, StopReason
@@ -41,14 +41,16 @@ CMAES_TOLERANCE = 1e-5
 CMAES_SPREAD = 0.01
 # Population of CMA-ES as a finisher; chosen by tests/benchmarks/engine.py.
 FINISH_POPULATION = 64
-# Population of CMA-ES after a first stage of few generations: a search of two or three parameters.
-_SMALL_POPULATION = 16
-# Generations that least squares needs to find its starts: at first, and where more was left than noise.
-_GENERATIONS = (3, 8)
+# Population of CMA-ES after least squares, and of a search of few parameters: the axes of the cost are known,
+# so a small population has to learn no others.
+ROUGH_POPULATION = 16
+# Generations of the first stage that least squares needs to find its starts.
+_FIRST_GENERATIONS = 3
 # Cumulative share of the budget that each non-final stage may use [1], without and with least squares.
-_SHARES, _FAST_SHARES = (0.6, 0.8), (0.3, 0.5, 0.7)
-# Number of the stage of least squares after which another attempt may follow.
-_TRIED = 1
+_SHARES, _FAST_SHARES = (0.6, 0.8), (0.3, 0.5, 0.8)
+# NRMSE over noise up to which nothing but noise is left [1]: CMA-ES after least squares takes 1e-5 off such a
+# fit, and up to 0.3 % off one at 1.1.
+_ALL_BUT_NOISE = 1.05
 # Reasons that end a stage before its time: resumed, it starts again.
 _CUT = get_args(CutReason)
 # Polling interval for Ctrl-C [s].
@@ -110,11 +112,6 @@ class _Run:
     # Generation of the lowest cost, in the form of a one-generation stage.
     best: StageHistory | None = None
 
-    @property
-    def fast(self) -> bool:
-        """Whether the search is a few generations and least squares."""
-        return "least-squares" in self.settings.stages
-
     def history(self) -> RunHistory:
         seed = run_seeds(self.settings)[self.run]
         space = self.objective.space
@@ -142,14 +139,14 @@ class _Run:
             else:
                 if name == "least-squares":
                     population = 0
-                    found = stages[-1].cube[-1], stages[-1].cost[-1]
-                    bred: Breeder = LeastSquares(self.objective, *found, whole=number > _TRIED)
+                    bred: Breeder = LeastSquares(self.objective, stages[-1].cube[-1], stages[-1].cost[-1])
                 else:
-                    finishing = _SMALL_POPULATION if self.first_generations else FINISH_POPULATION
+                    small = self.first_generations or (start is not None and start.axes is not None)
+                    finishing = ROUGH_POPULATION if small else FINISH_POPULATION
                     searching = name == self.settings.algorithm
                     population = self.settings.population if searching else finishing
                     child = np.random.SeedSequence(seed, spawn_key=(number,))
-                    own = seed if searching and not number else int(child.generate_state(1, np.uint32)[0])
+                    own = seed if searching else int(child.generate_state(1, np.uint32)[0])
                     if start is not None:
                         start = replace(start, mean=start.mean[:n_found], spread=start.spread[:n_found])
                     bred = Keeping(breeder(name, n_found, population, own, start), kept_values)
@@ -164,8 +161,12 @@ class _Run:
             self.before += stage.wall_time
             if stage.stop_reason == "interrupted":
                 break
-            if stage.stop_reason == "unexplained" and number == _TRIED and self.fast:
-                left += [self.settings.algorithm, "least-squares"]
+            if name == "least-squares" and not space.stated:
+                over = float(stage.cost.min()) / noise_floor(self.objective.blocks)
+                # If more is left than noise, the search goes on as if least squares had not been tried; if a
+                # little more, the cost is rough and CMA-ES goes on from there.
+                left += [self.settings.algorithm] * (stage.stop_reason == "unexplained")
+                left += ["cmaes"] * (over > _ALL_BUT_NOISE)
         # The run was farther when it was killed or stopped before.
         if cut and self.best is not None and self.best.cost.min() < min(stage.cost.min() for stage in stages):
             stages.append(replace(self.best, stop_reason=cut))
@@ -173,8 +174,10 @@ class _Run:
 
     def _limits(self, name: str, number: int, population: int, last: bool) -> SearchSettings:
         """Return when a stage ends; of the run's budgets all stages but the last get a share."""
-        last &= not self.fast or number > _TRIED
-        share = 1.0 if last else (_FAST_SHARES if self.fast else _SHARES)[number]
+        fast = "least-squares" in self.settings.stages
+        # Another search may follow least squares.
+        last &= name != "least-squares" or bool(self.objective.space.stated)
+        share = 1.0 if last else (_FAST_SHARES if fast else _SHARES)[number]
         limits = replace(self.settings.of_a_run(), time_limit=None)
         if limits.max_evaluations is not None:
             limits = replace(limits, max_evaluations=int(share * limits.max_evaluations))
@@ -188,7 +191,7 @@ class _Run:
             limits = replace(
                 limits, stop_reading="relative", stop_window=window, stop_tolerance=CMAES_TOLERANCE
             )
-        elif few := self.first_generations or self.fast * _GENERATIONS[number // 2]:
+        elif number == 0 and (few := self.first_generations or _FIRST_GENERATIONS * fast):
             limits = replace(limits, max_generations=min(limits.max_generations, few))
         return limits
 

@@ -63,16 +63,17 @@ class Decay(Bowl):
     """Three numbers of a decay that two trials measured with noise, as residuals.
 
     `rough` adds dents to the residuals in which derivatives mean nothing. The point (0.2, 0.5, 0.8) is right.
+    `wrong` adds a ripple to the measurement that no parameter makes.
     """
 
     layout = Problem.layout
 
-    def __init__(self, rough=0.0):
+    def __init__(self, rough=0.0, wrong=0.0):
         super().__init__(trials=())
         self.rough = rough
         time = np.linspace(0.0, 2.0, 80)
         noise = np.random.default_rng(5).normal(0.0, 0.02, (2, 80))
-        self.measured = self._signals(self.target[None], 0.0)[0] + noise
+        self.measured = self._signals(self.target[None], 0.0)[0] + noise + wrong * np.sin(9 * time)
         ones = np.ones((80, 1), bool)
         self.trials = [
             Trial(f"t{t}", "fit", time, self.measured[t, :, None], ones, {}, 0.0) for t in range(2)

@@ -26,6 +26,8 @@ class Start:
     mean: FloatArray
     # (n_free,) standard deviation along every axis [1].
     spread: FloatArray
+    # (n_free, n_free) unit vectors of the axes as columns; by default the coordinates.
+    axes: FloatArray | None = None
 
     @classmethod
     def of_population(cls, cube: FloatArray) -> Start:
@@ -90,4 +92,4 @@ class Keeping(Breeder):
 
     def start(self) -> Start:
         start, none = self._bred.start(), np.zeros_like(self._kept)
-        return Start(np.append(start.mean, self._kept), np.append(start.spread, none))
+        return Start(np.append(start.mean, self._kept), np.append(start.spread, none), start.axes)

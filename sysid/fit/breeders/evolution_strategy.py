@@ -43,6 +43,8 @@ class EvolutionStrategy(Breeder):
         largest = float(start.spread.max())
         self._box = BoxConstraintsLinQuadTransformation([[0.0, 1.0]])
         origin = np.asarray(self._box.inverse(start.mean))
+        # With other axes, candidates are drawn around 0 along these axes and then turned into the cube.
+        self._origin, self._axes = origin, start.axes
         options = {
             "popsize": population,
             "CMA_stds": start.spread / largest,
@@ -57,7 +59,8 @@ class EvolutionStrategy(Breeder):
             # No file of the working folder takes part.
             "signals_filename": "",
         }
-        self._strategy = cma.CMAEvolutionStrategy(origin, largest, options)
+        first = origin if start.axes is None else np.zeros(len(origin))
+        self._strategy = cma.CMAEvolutionStrategy(first, largest, options)
         self._drawn: list[FloatArray] = []
         self._points = np.empty((0, len(origin)))
         self._cost = np.empty(0)
@@ -68,6 +71,8 @@ class EvolutionStrategy(Breeder):
             return None
         self._drawn = self._strategy.ask()
         drawn = np.array(self._drawn)
+        if self._axes is not None:
+            drawn = self._origin + drawn @ self._axes.T
         # The box is the same for every coordinate, so all candidates are mapped as one long vector.
         self._points = np.reshape(self._box(drawn.ravel()), drawn.shape)
         return self._points

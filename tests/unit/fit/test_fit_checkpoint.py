@@ -70,13 +70,16 @@ def test_every_algorithm_goes_on_from_its_finished_stages(tmp_path, algorithm):
         assert_same_runs(run_all(tmp_path / "fit", settings=settings, resume=True)[0], whole)
 
 
-def test_least_squares_starts_again_where_it_was_stopped(tmp_path):
+@pytest.mark.parametrize("rough", [0.0, 0.01])
+def test_what_follows_least_squares_starts_along_its_axes_again(tmp_path, rough):
     settings = SearchSettings(40, 1, 5)
-    whole = run_many(Decay(), settings)
-    assert [stage.algorithm for stage in whole[0].stages] == ["ga", "least-squares"]
-    for cut in sorted({1, 4, 9, len(whole[0].best) - 2}):
-        interrupted(tmp_path / "fit", cut, Decay(), settings=settings)
-        assert_same_runs(run_all(tmp_path / "fit", Decay(), settings=settings, resume=True)[0], whole)
+    whole = run_many(Decay(rough, 0.017), settings)
+    assert [stage.algorithm for stage in whole[0].stages] == ["ga", "least-squares", "cmaes"]
+    for cut in sorted({1, 4, 9, 25, len(whole[0].best) - 2}):
+        interrupted(tmp_path / "fit", cut, Decay(rough, 0.017), settings=settings)
+        assert_same_runs(
+            run_all(tmp_path / "fit", Decay(rough, 0.017), settings=settings, resume=True)[0], whole
+        )
 
 
 def test_a_stage_after_one_that_the_clock_has_cut_is_not_kept(tmp_path):
@@ -136,21 +139,20 @@ FORGED = {
     "another number of parameters": lambda columns: (columns[0][:, :, :2], *columns[1:]),
     "too few costs": lambda columns: (columns[0], columns[1][:3], *columns[2:]),
     "costs that are no numbers": lambda columns: (columns[0], np.full_like(columns[1], np.nan), *columns[2:]),
-    "a cost below nothing": lambda columns: (columns[0], columns[1] - 99.0, *columns[2:]),
     "costs as text": lambda columns: (columns[0], columns[1].astype(str), *columns[2:]),
     "no generation": lambda columns: (columns[0][:0], columns[1][:0], columns[2][:0], *columns[3:]),
-    "a start in another space": lambda columns: (*columns[:4], np.ones(7), columns[5]),
-    "another reason to end": lambda columns: (*columns[:5], _with(columns, "generations", "whim")),
+    "axes of another space": lambda columns: (*columns[:5], np.eye(7), columns[6]),
+    "another reason to end": lambda columns: (*columns[:6], _with(columns, "generations", "whim")),
     "a field too many": lambda columns: (
-        *columns[:5],
+        *columns[:6],
         _with(columns, '"algorithm"', '"whim": 1, "algorithm"'),
     ),
-    "no fields": lambda columns: (*columns[:5], np.array("[]")),
+    "no fields": lambda columns: (*columns[:6], np.array("[]")),
 }
 
 
 def _with(columns, old, new):
-    return np.array(str(columns[5]).replace(old, new))
+    return np.array(str(columns[6]).replace(old, new))
 
 
 @pytest.mark.parametrize("forged", FORGED)
@@ -168,7 +170,7 @@ def test_states_that_another_program_wrote_are_refused(tmp_path):
     interrupted(tmp_path / "fit", 20)
     hold = Checkpoint(tmp_path / "fit", IDENTITY, resume=True)
     columns = hold.load("run-1-stage-1")
-    BlockStore.save(hold, "run-1-stage-1", (*columns[:5], _with(columns, '"ga"', '"de"')))
+    BlockStore.save(hold, "run-1-stage-1", (*columns[:6], _with(columns, '"ga"', '"de"')))
     hold.close()
     with pytest.raises(FitError, match=r"ga follows where de did.*--force"):
         run_all(tmp_path / "fit", resume=True, done=False)
