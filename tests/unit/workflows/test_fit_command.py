@@ -77,7 +77,7 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
 
 def test_fits_lists_states(campaign, run, refused):
     refused("no such folder", "fits")
-    assert run("fit-gear", campaign, *SMALL, "--out", "fits/whole")[0] == 0
+    assert run("fit-gear", campaign, *SMALL, "--finish", "none", "--out", "fits/whole")[0] == 0
     cut = ("fit-gear", campaign, *SMALL, "--out", "fits/cut", "--time-limit", "0.001 s")
     assert run(*cut)[0] == 0
     for name in ("broken", "demo/motor"):
@@ -246,7 +246,7 @@ def test_another_processor_is_noted(cut, monkeypatch, run):
 
 
 def test_more_runs_keep_the_best_five(campaign, run):
-    fit = ("fit-gear", campaign, *SMALL, "--runs", "7")
+    fit = ("fit-gear", campaign, *SMALL, "--finish", "none", "--runs", "7")
     code, _, err = run(*(word for word in fit if word != "--quiet"))
     assert code == 0
     found = read_fit(Path("fits") / "synthetic-lf")
