@@ -97,7 +97,7 @@ class Displacements:
             rest = difference[axes] - moved[axes][:, others] @ out[others]
             rest[lost[axes]] = 0.0
             out[self.spanned] = np.linalg.lstsq(moved[axes][:, self.spanned], rest, rcond=1e-12)[0]
-            # What is left of a coordinate that no residual sees is rounding.
+            # A coordinate that no residual sees has rounding errors for derivatives.
             size = np.linalg.norm(out, axis=1)
             out[size < _ROUNDING * size.max()] = 0.0
         return out, usable
@@ -122,7 +122,7 @@ def displaced(
     """
     n, unknown = len(at), not curvature.any()
     own = asked & (layout.kinds >= 0)
-    # From a face of the cube there is one way only.
+    # A coordinate on a face of the cube can move inward only.
     face = asked & ~own & ((at <= 0.0) | (at >= 1.0))
     spanned = np.flatnonzero(asked & ~own & ~face)
     following = np.flatnonzero(~still & ~face & ~(asked & ~own))

@@ -80,7 +80,7 @@ def _columns(value: object) -> object:
 
 def is_positive(value: object) -> bool:
     """Return whether an option is a number, finite and greater than 0."""
-    # Of whole numbers, those that have a place among floating-point numbers.
+    # A whole number may be too large for a floating-point number.
     return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= sys.float_info.max
 
 
