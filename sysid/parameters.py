@@ -188,7 +188,8 @@ class SearchSpace:
         """Return how far rows (P, n_table) [SI] lie from the stated values (P, S) [standard errors]."""
         places = [self.table.index[name] for name in self.stated]
         errors = np.array([value.error for value in self.stated.values()])
-        return np.asarray((rows[:, places] - np.array([*self.stated.values()])) / errors)
+        # In rows of memory, so that a sum over one has the same bits whatever its neighbours.
+        return np.ascontiguousarray((rows[:, places] - np.array([*self.stated.values()])) / errors)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -14,15 +14,15 @@ class Stated(float):
 
     # One sigma, in the unit of the number; 0: exact.
     error: float
-    # Whether the campaign states no error, and the typical one of such a measurement stands in for it.
-    assumed: bool
+    # Typical error of such a measurement, such as ``"1 g"``, where the campaign states none; else empty.
+    assumed: str
 
-    def __new__(cls, value: float, error: float = 0.0, assumed: bool = False) -> Stated:
+    def __new__(cls, value: float, error: float = 0.0, assumed: str = "") -> Stated:
         number = super().__new__(cls, value)
         number.error, number.assumed = error, assumed
         return number
 
-    def __reduce__(self) -> tuple[type[Stated], tuple[float, float, bool]]:
+    def __reduce__(self) -> tuple[type[Stated], tuple[float, float, str]]:
         return Stated, (float(self), self.error, self.assumed)
 
 

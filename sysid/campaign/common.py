@@ -66,7 +66,7 @@ class Measured:
             raise ValueError(str(refusal)) from refusal
         number = inner(number if isinstance(value, str) else quantity(value, self.unit))
         if error is None:
-            return Stated(number, self.typical_error(number), bool(self.typical))
+            return Stated(number, self.typical_error(number), self.typical)
         if positive and error > number:
             raise ValueError(f"the error in {value!r} is larger than the value; write one standard deviation")
         return Stated(number, error)

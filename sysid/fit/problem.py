@@ -320,7 +320,8 @@ class Problem(ABC):
 
         The one rule of every prediction (`validate`, `cross-validate`, `compare`, `report --against`):
 
-        * A parameter that the fit has found keeps the fit's value.
+        * A parameter that the fit has found keeps the fit's value. So does a value that was stated with an
+          error, unless this campaign states another number than the fit's.
         * A value that the campaign states or measures (vehicle, surface, rotor, static curves) replaces one
           that the fit only took as known. Where the campaign states none, the fit's value counts.
         * Delays and lags of instruments are the campaign's where it states them. Else a log that the fit has
@@ -347,7 +348,9 @@ class Problem(ABC):
                 continue
             if name in row_logs and row_logs[name] not in seen:
                 continue
-            searched = record.status in ("free", "stated")
+            searched = record.status == "free" or (
+                record.status == "stated" and self.base[column[name]] == record.nominal
+            )
             kept = name in known and (not searched or instrument)
             # The mean delay of a fit is derived from the delays of its logs.
             if not kept and (instrument or searched or record.status in ("fixed", "measured")):

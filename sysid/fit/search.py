@@ -116,7 +116,7 @@ class _Run:
         seed = run_seeds(self.settings)[self.run]
         space = self.objective.space
         n_free, n_found = len(space.free), len(space.found)
-        # Only least squares moves what the campaign states.
+        # Only least squares moves what the campaign states; a search without a finisher moves nothing of it.
         nominal = [row.nominal for row in space.found]
         kept_values = space.encode(np.array([*nominal, *space.stated.values()]))[n_found:]
         if self.checkpoint is not None:
@@ -125,7 +125,7 @@ class _Run:
         start: Start | None = None
         cut: StopReason | None = None
         left = list(self.settings.stages)
-        if space.stated and "least-squares" not in left:
+        if space.stated and "least-squares" not in left and self.settings.finish != "none":
             left.append("least-squares")
         while left:
             number, name = len(stages), left.pop(0)

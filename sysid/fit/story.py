@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from types import MappingProxyType
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from sysid.fit.problem import Problem
+from sysid.journal import tell
+from sysid.parameters import common_name
 from sysid.types import FloatArray
 
 P = TypeVar("P", bound=Problem)
@@ -19,11 +20,14 @@ class Story(Generic[P]):
 
     # Quantities that trust counts as uncertain besides the noise.
     known_words: str = ""
-    # Key of the campaign by the parameter that it states, where their names differ.
-    keys: Mapping[str, str] = MappingProxyType({})
 
     def __init__(self, problem: P) -> None:
         self.problem = problem
+
+    @property
+    def keys(self) -> Mapping[str, str]:
+        """Key of the campaign by the parameter's name that it states, where they differ."""
+        return {}
 
     # --- the record of a fit --------------------------------------------------------------------------------
 
@@ -46,6 +50,17 @@ class Story(Generic[P]):
     def filters(self) -> Mapping[str, object]:
         """The filter's design."""
         return {"kind": "none"}
+
+    def tell_stated(self) -> None:
+        """Tell which stated values are fitted within their errors, and which errors are merely assumed."""
+        space, errors = self.problem.space, dict[str, str]()
+        for name, value in space.stated.items():
+            key = common_name(space.table[name])
+            errors.setdefault(self.keys.get(key, key), value.assumed)
+        if own := [key for key, assumed in errors.items() if not assumed]:
+            tell(f"fitted within their errors as well: {', '.join(own)}")
+        if typical := [f"{key} {assumed}" for key, assumed in errors.items() if assumed]:
+            tell(f"assumed errors, within which these are fitted: {', '.join(typical)}; state your own (±)")
 
     # --- sysid check ----------------------------------------------------------------------------------------
 

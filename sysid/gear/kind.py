@@ -59,15 +59,13 @@ def _begin(problem: GearProblem) -> None:
     count = len(problem.fitted.drops)
     validated, free = len(problem.drops) - count, len(problem.space.found)
     tell(f"{count} drops to fit, {validated} to validate; {free} free parameters")
-    if problem.space.stated:
-        tell(f"fitted within their errors as well: {', '.join(problem.space.stated)}")
     prepare_kernel(problem.campaign.surface.law)
 
 
 def notice_defaults(problem: GearProblem) -> None:
     """Name stated values that are not used, and values of the paper's drone that stand in for others."""
     law, stated = problem.campaign.surface.law, problem.stated
-    for name in problem.space.names:
+    for name in (row.name for row in problem.space.found):
         if name in stated:
             notice(
                 "stated-and-free",

@@ -42,8 +42,7 @@ SURFACE = (
 def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
     """Return a space in which what the campaign states with an error moves, with a row for each.
 
-    What is free or fixed by `[parameters]` is not stated twice; a typical error that is merely assumed moves
-    nothing.
+    What is free or fixed by `[parameters]` is not stated twice.
     """
     stated, rows = {}, []
     for table in (campaign.vehicle, campaign.surface):
@@ -55,14 +54,10 @@ def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
     for row, value in _of_the_capture(campaign):
         rows.append(row)
         stated[row.name] = value
-    stated = {name: value for name, value in stated.items() if _moves(value)}
+    stated = {name: value for name, value in stated.items() if value is not None and error_of(value) > 0}
     # A drop with an exact point of its own does not follow the point of the others.
     rows = [row for row in rows if row.name in stated or row.common_name in stated]
     return space.with_stated(stated, rows) if stated else space
-
-
-def _moves(value: float | None) -> bool:
-    return isinstance(value, Stated) and value.error > 0 and not value.assumed
 
 
 def _of_the_capture(campaign: GearCampaign) -> Iterator[tuple[Parameter, Stated]]:
@@ -95,7 +90,7 @@ def _in_plane(point: Point, frame: CaptureFrame) -> tuple[Stated, Stated]:
 
 
 def _with_error(value: float, of: float) -> Stated:
-    return Stated(value, error_of(of), isinstance(of, Stated) and of.assumed)
+    return Stated(value, error_of(of), of.assumed if isinstance(of, Stated) else "")
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,12 +13,18 @@ from sysid.gear.model import PARAMETERS, EventKind, simulate
 from sysid.gear.out_of_plane import tell_limits
 from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
 from sysid.gear.problem import ONE_TOUCHDOWN, GearProblem
+from sysid.gear.stated import CENTRE, SURFACE
 from sysid.trials.look import inspect_recording, log_quality
 from sysid.types import FloatArray
 
 
 class GearStory(Story[GearProblem]):
     """Descriptions of the drops of a problem."""
+
+    @property
+    def keys(self) -> Mapping[str, str]:
+        """Offsets and places by the key that states them."""
+        return {row.name: "centre_of_mass_offset" for row in CENTRE} | {row.name: "point" for row in SURFACE}
 
     @property
     def accuracy(self) -> Mapping[str, object]:

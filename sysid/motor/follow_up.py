@@ -23,7 +23,7 @@ from sysid.motor.dead_band import (
     saturation_space,
 )
 from sysid.motor.inertia import spike_inertia
-from sysid.motor.known_values import CONSTANTS, KEYS, SATURATION, Bench, untested_rows
+from sysid.motor.known_values import CONSTANTS, SATURATION, Bench, untested_rows
 from sysid.motor.log_delays import MEAN_SOURCE, averaged, delay_name, log_rows
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
@@ -106,10 +106,6 @@ def begin_fit(problem: MotorProblem) -> None:
         f"{searched} trial{'s' * (searched != 1)} to fit, {f'{late} for the dead band, ' if late else ''}"
         f"{len(bench.trials) - searched - late} to validate; free: {free}"
     )
-    if space.stated:
-        tell(
-            f"fitted within their errors as well: {', '.join(KEYS.get(name, name) for name in space.stated)}"
-        )
     for fit in bench.curves.fits:
         tell(curve_sentence(fit))
     for way, tie in bench.laws.items():

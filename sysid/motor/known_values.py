@@ -261,7 +261,7 @@ def _known_values(
 
 def _inverse(kv: float) -> Stated:
     """Return k [V·s/rad] of a Kv [rad/s/V], with its error."""
-    return Stated(1.0 / kv, error_of(kv) / kv**2, isinstance(kv, Stated) and kv.assumed)
+    return Stated(1.0 / kv, error_of(kv) / kv**2, kv.assumed if isinstance(kv, Stated) else "")
 
 
 def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:
@@ -361,8 +361,7 @@ def _with_stated(space: SearchSpace, campaign: MotorCampaign, bench: Bench) -> S
         low, high = ranges.get(name, (0.0, 0.0))
         if not isinstance(value, Stated) or (value.assumed and high > low):
             value = Stated(value, (high - low) / np.sqrt(12.0))
-        # A typical error that is merely assumed moves nothing.
-        if value.error > 0 and not value.assumed and name in space.fixed:
+        if value.error > 0 and name in space.fixed:
             stated[name] = value
     if not stated:
         return space

@@ -37,7 +37,12 @@ class MotorStory(Story[MotorProblem]):
     """Descriptions of the trials of a bench."""
 
     known_words = "static curves and tares; ranges under parameters.measured"
-    keys = KEYS
+
+    @property
+    def keys(self) -> Mapping[str, str]:
+        """Kv by its key, and the curves of static logs by what they are."""
+        rows = (row.name for curve in self.problem.bench.measured_curves for row in curve.rows)
+        return {**KEYS, **dict.fromkeys(rows, "static curves")}
 
     @property
     def hashes(self) -> Mapping[str, str]:

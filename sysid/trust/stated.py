@@ -9,7 +9,7 @@ taken out, and the others are judged again without it: one wrong value pulls oth
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,8 @@ from scipy.stats import chi2
 from sysid.journal import Finding
 from sysid.parameters import SearchSpace, common_name, with_unit
 from sysid.trust.documents import StatedValue
-from sysid.trust.linearized import Linearized
+from sysid.trust.linearized import Linearized, bounded_information, half_widths
+from sysid.trust.verdicts import WEAKLY, as_half_width
 from sysid.types import FloatArray
 
 # Chance that any value of a right campaign is contradicted [1].
@@ -28,6 +29,9 @@ _AS_WELL = 6.0
 # Least correlation with a stated value that makes up half of a variance, and least error of that value after
 # the fit, over the stated one, with which the statement decides and not the trials [1].
 _HALF, _AS_STATED = 0.707, 0.7
+# Factor by which a better instrument may divide an error, the half-width over the former one from which on
+# that is worth saying, and how many parameters are named [1].
+_BETTER, _GAINS, _NAMED = 4.0, 0.9, 3
 # Variance from which on trials cannot contradict a value [squared standard errors].
 _UNSEEN = 50.0
 
@@ -146,6 +150,47 @@ def deciding(space: SearchSpace, linear: Linearized) -> list[str | None]:
     rho = np.abs(linear.information.correlation[:found, found:])
     rho[:, size * [row.upper - row.lower for row in rows] < _AS_STATED * errors] = 0.0
     return [rows[int(np.argmax(row))].name if row.max() > _HALF else None for row in rho]
+
+
+def better_measured(
+    space: SearchSpace, linear: Linearized, keys: Mapping[str, str] | None = None
+) -> list[str]:
+    """Return sentences on whose error decides the half-widths of the found parameters, the worst first.
+
+    `keys` are the campaign's names of rows by common name, where they differ.
+    """
+    groups: dict[str, list[int]] = {}
+    count, found = len(space.stated), len(space.found)
+    for i, row in enumerate(space.free[found:]):
+        groups.setdefault((keys or {}).get(common_name(row), common_name(row)), []).append(i)
+    before = linear.half_widths[:found]
+    seen = [i for i in range(found) if before[i] < WEAKLY]
+    gains: list[tuple[float, str]] = []
+    idle: list[str] = []
+    for key, rows in groups.items():
+        jacobian, noise = linear.jacobian.values.copy(), linear.information.gradient_noise.copy()
+        for i in rows:
+            own = jacobian[i - count]
+            noise += (_BETTER**2 - 1) * np.outer(own, own) * linear.scale[i - count] ** 2
+            jacobian[i - count] = _BETTER * own
+        sigma = bounded_information(jacobian, noise, linear.point).sigma
+        ratios = half_widths(space, linear.point, sigma)[:found] / before
+        best = sorted((float(ratios[i]), i) for i in seen if ratios[i] < _GAINS)
+        if not best:
+            idle.append(key)
+            continue
+        text = ", ".join(
+            f"{space.found[i].symbol} {as_half_width(before[i])} -> {as_half_width(before[i] * ratio)}"
+            for ratio, i in best[:_NAMED]
+        )
+        gains.append((best[0][0], f"{key} ({text})"))
+    out = []
+    if gains:
+        worth = "; ".join(text for _, text in sorted(gains))
+        out.append(f"measured four times better, these stated values tell more: {worth}")
+    if idle and seen:
+        out.append(f"measured better, these tell nothing more: {', '.join(idle)}")
+    return out
 
 
 def contradictions(rows: Sequence[StatedValue], space: SearchSpace) -> list[Finding]:

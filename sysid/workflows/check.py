@@ -20,6 +20,7 @@ from sysid.trust.sensitivity import (
     nominal_point,
     rank_candidates,
 )
+from sysid.trust.stated import better_measured
 from sysid.trust.verdicts import WEAKLY, WELL, as_half_width, sentences, verdict
 from sysid.workflows.kinds import naming_campaign, open_campaign
 
@@ -48,6 +49,7 @@ def check_campaign(
             seen: dict[str, object] = {"quality": story.quality()}
             journal.fold(len(whole.trials))
             seen |= story.about()
+            story.tell_stated()
             problem = whole.fitted.exact
             noise = problem.correlation()
             drawn = drawn_outlooks(problem, noise)
@@ -59,6 +61,7 @@ def check_campaign(
                 if made is not None:
                     candidates = rank_candidates(problem, view, made[0], tuple(made[1]), weak, drawn)
             out = _verdicts(problem, view, expected, candidates, kind.words.single)
+            out["sentences"] += better_measured(problem.space, view, story.keys)
             out["sentences"] += story.advice([row.name for row in expected if row.verdict != "well"])
             out |= {**seen, "excitation": story.excitation()}
             warnings = journal.sentences()

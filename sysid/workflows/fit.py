@@ -105,6 +105,7 @@ def fit_campaign(
                 journal.fold(len(problem.trials))
                 story.about()
                 model.begin(problem)
+                story.tell_stated()
             journal.fold(len(problem.trials))
             fitted = problem.fitted
             with journal.blaming():
@@ -125,7 +126,7 @@ def fit_campaign(
             # A spread of the sets beside an interval is a second claim; of a wrong model it is none.
             loose = loose_findings(runs, problem.space, not follows and judged.verdict != NOT_BY)
             bounds = bound_findings(outcome.records, outcome.at_bound)
-            doubts = chain(misfit_finding(judged), _not_assessed(outcome, follows, folder), loose, bounds)
+            doubts = chain(misfit_finding(judged), loose, _not_assessed(outcome, follows, folder), bounds)
             result = _result(model.name, problem, runs, outcome, judged, record)
             _add_doubts(journal, doubts)
             noticed = [finding.document() for finding in journal.findings]

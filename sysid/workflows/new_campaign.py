@@ -39,7 +39,8 @@ _NO_THRUST = 0.02
 _TODO = "TODO"
 # Row of a campaign that is written without logs.
 _BLANK = {
-    "name": "trial-1", "file": f"{_TODO}.csv", "slope": f"{_TODO} deg", "direction": _TODO, "points": "",
+    "name": "trial-1", "file": f"{_TODO}.csv", "slope": f"{_TODO} ± 0.2 deg", "direction": _TODO,
+    "points": "",
 }  # fmt: skip
 
 
@@ -123,7 +124,7 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
         logs.append({
             "name": source.stem,
             "file": Path(os.path.relpath(source, path.parent)).as_posix(),
-            "slope": f"{_TODO} deg" if slope is None else f"{math.degrees(slope):.1f} deg",
+            "slope": f"{_TODO if slope is None else f'{math.degrees(slope):.1f}'} ± 0.2 deg",
             "direction": _one_way(report) or ("reversal" if both else "forward"),
             "points": curve if report.kind == "static-map" else "",
         })  # fmt: skip

@@ -253,6 +253,10 @@ def cross_validate(
             refits = leave_one_out(spread, linear)
         space, names = problem.space, [record.name for record in result.parameters]
         decoded = space.decode(refits.points)
+        for i, row in enumerate(space.free):
+            # No fit without a trial knows more of the trial than what is stated.
+            if row.trial and row.name in space.stated:
+                decoded[problem.names.index(row.trial), i] = space.stated[row.name]
         values = np.repeat(result.values[:1], len(decoded), axis=0)
         values[:, [names.index(name) for name in space.names]] = decoded
         predicted = predict(result, opened.kind, opened.whole.only(problem.names), values)

@@ -34,10 +34,10 @@ def fit_identity(settings: SearchSettings, story: Story) -> dict[str, Any]:
     return {
         "campaign_file": problem.campaign.source.sha256,
         **{f"log {name}": digest for name, digest in story.hashes.items()},
-        "parameter_table": hashlib.sha256(table.encode()).hexdigest(),
         "version_of_sysid": __version__,
         **{f"version_of_{name}": version(name) for name in _SEARCHING},
         **{f"option_{name}": value for name, value in settings.continued_by().items()},
+        "parameter_table": hashlib.sha256(table.encode()).hexdigest(),
         **story.accuracy,
     }
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from sysid.campaign import read_campaign
+from sysid.campaign.common import as_exact
 from sysid.gear.drops import prepare_drops
-from sysid.gear.model import PARAMETERS
 from sysid.gear.problem import GearProblem, gear_space
 from sysid.synthetic import read_truth
 
@@ -16,7 +16,10 @@ EXACT = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble
 
 
 def opened(folder, new="", old="[fit]\n"):
-    """Campaign, prepared drops and true values; `new` stands in the campaign's place of `old`, if stated."""
+    """Campaign, prepared drops and true values; `new` stands in the campaign's place of `old`, if stated.
+
+    What the campaign states is the truth, so it is taken as exact.
+    """
     path = folder / "campaign.toml"
     if new:
         text = path.read_text(encoding="utf-8")
@@ -24,7 +27,7 @@ def opened(folder, new="", old="[fit]\n"):
         path = folder / "changed.toml"
         new = f"{new}\n{old}" if old == "[fit]\n" else new
         path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    campaign = read_campaign(path, "gear")
+    campaign = as_exact(read_campaign(path, "gear"))
     return campaign, prepare_drops(campaign, path), read_truth(folder)["parameters"]
 
 
@@ -36,7 +39,7 @@ def score_values(campaign, drops, values, **options):
     """Score one set of parameter values [SI] on prepared drops; absent names take the campaign's."""
     problem = GearProblem(campaign, gear_space(campaign), drops, **options)
     known = dict(zip(problem.space.table, problem.base, strict=True)) | values
-    scored = problem.score(np.array([[known[name] for name in PARAMETERS]]))
+    scored = problem.score(np.array([[known[name] for name in problem.space.table]]))
     cost = problem.cost.mean(scored.by_channel)
     return SimpleNamespace(cost=cost, by_channel=scored.by_channel, failed=scored.cause > 0)
 

@@ -25,6 +25,7 @@ from fakes.log_samples import DAMAGES, LOGS
 from fakes.places import DATA as PUBLIC_LOGS
 from fakes.places import PUBLISHED, SAMPLES
 from sysid.campaign import read_campaign
+from sysid.campaign.common import as_exact
 from sysid.cli import app
 from sysid.errors import SysidError
 from sysid.gear.drops import prepare_drops
@@ -120,14 +121,14 @@ def verdicts_of(document):
 
 
 def _gear_objective(name):
-    campaign = read_campaign(CAMPAIGNS[name], "gear")
+    campaign = as_exact(read_campaign(CAMPAIGNS[name], "gear"))
     drops = tuple(drop for drop in prepare_drops(campaign, CAMPAIGNS[name]) if drop.use == "fit")
     objective = GearProblem(campaign, gear_space(campaign), drops)
     return objective, lambda rows: objective.score(rows).by_channel
 
 
 def _motor_objective(name):
-    campaign = read_campaign(CAMPAIGNS[name], "motor")
+    campaign = as_exact(read_campaign(CAMPAIGNS[name], "motor"))
     bench = prepare_bench(campaign, CAMPAIGNS[name])
     objective = MotorProblem.build(campaign, motor_space(campaign, bench), bench, bench.trials).fitted
     return objective, lambda rows: objective.score(rows).by_channel

@@ -26,7 +26,7 @@ def opened(tmp_path, surface, text="", stated=""):
 def test_what_no_drop_depends_on_cannot_be_free(surface, name, law, tmp_path):
     campaign = opened(tmp_path, surface, f'[parameters]\nfree = ["joint_dx", "{name}"]\n')
     if surface == law:
-        assert gear_space(campaign).names == ("joint_dx", name)
+        assert [row.name for row in gear_space(campaign).found] == ["joint_dx", name]
         return
     with pytest.raises(CampaignError, match=rf"parameters\.free: .*'{surface}' depends on {name}; remove it"):
         gear_space(campaign)
@@ -48,7 +48,7 @@ def test_bounds_are_the_surfaces_own(tmp_path):
 def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
     campaign = opened(tmp_path, "hf", stated="kinetic_friction = 0.8")
     space = gear_space(campaign)
-    assert space.names == SURFACES["hf"].free
+    assert tuple(row.name for row in space.found) == SURFACES["hf"].free
     with pytest.warns(SysidWarning, match="kinetic_friction is stated in the campaign and free on hf"):
         notice_defaults(GearProblem(campaign, space, ()))
     fixed = opened(
@@ -94,7 +94,7 @@ def test_friction_of_another_surface_is_dropped_and_said(surface, other, stated,
     space = gear_space(
         moved.model_copy(update={"parameters": moved.parameters.model_copy(update={"bounds": {}})})
     )
-    assert space.names == SURFACES[other].free
+    assert tuple(row.name for row in space.found) == SURFACES[other].free
     default = parameters_on(other)
     assert all(space.fixed.get(name, default[name].nominal) == default[name].nominal for name in names)
     # The campaign's own law drops nothing.

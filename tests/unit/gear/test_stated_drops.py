@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from fakes.lab import misstated
-from sysid.campaign import read_campaign
 from sysid.synthetic import DropPlan, synthesize_gear
 from sysid.workflows.kinds import find_kind, open_campaign
 
 DROPS = tuple(DropPlan(math.radians(slope), 0.6) for slope in (10, 20, 30))
 
 
-def opened(path):
+def opened(path, exact=False):
     """The fitted drops of a campaign, as trust simulates them."""
-    return find_kind("gear").open(read_campaign(path, "gear"), path, 1).fitted.exact
+    _, campaign, _ = open_campaign(path, "gear", law={"exact": exact})
+    return find_kind("gear").open(campaign, path, 1).fitted.exact
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def stated(exact):
 
 def shifted(exact, name, **gross):
     """The drops of the campaign with some values stated elsewhere, by standard errors."""
-    return opened(misstated(exact, 0, name=f"{name}.toml", gross=gross, written=False))
+    return opened(misstated(exact, 0, name=f"{name}.toml", gross=gross, written=False), exact=True)
 
 
 def row_of(problem, **values):
@@ -45,7 +45,13 @@ def row_of(problem, **values):
 
 def test_what_is_stated_with_an_error_moves(stated, exact):
     space = stated.space
-    assert [row.name for row in space.found] == [row.name for row in opened(exact).space.free]
+    assert [row.name for row in space.found] == [row.name for row in opened(exact, exact=True).space.free]
+    # Errors that nobody states are the typical ones, which the good lab has.
+    assumed = opened(exact).space.stated
+    assert set(assumed) == set(space.stated)
+    for name, value in assumed.items():
+        assert (bool(value.assumed), space.stated[name].assumed) == (True, "")
+        assert (value, value.error) == pytest.approx((space.stated[name], space.stated[name].error))
     assert set(space.stated) == {
         "body_mass", "body_inertia", "foot_dx", "foot_dz", "leg_mass", "leg_inertia", "kinetic_friction",
         "centre_of_mass_dx", "centre_of_mass_dz", "surface_dx", "surface_dz",
@@ -161,7 +167,7 @@ def test_a_steeper_slope_is_the_slope_stated_steeper(stated, exact):
 def test_a_drop_with_an_exact_point_does_not_follow_the_point_of_the_others(exact):
     path = misstated(exact, 0, name="own.toml")
     head, last = path.read_text(encoding="utf-8").rsplit("[[trials]]", 1)
-    own = '[[trials]]\npoint = ["364 mm", "430.5 mm", "-812.5 mm"]'
+    own = '[[trials]]\npoint = ["364 mm exact", "430.5 mm exact", "-812.5 mm exact"]'
     path.write_text(head + own + last, encoding="utf-8")
     problem = opened(path)
     assert "surface_dz" in problem.space.stated

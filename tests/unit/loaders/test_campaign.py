@@ -3,12 +3,14 @@
 import re
 from importlib import resources
 
+import numpy as np
 import pytest
 
 from sysid.campaign import GearCampaign, MotorCampaign, read_campaign
 from sysid.campaign.file import resolve_log
 from sysid.errors import CampaignError
 from sysid.parameters import Parameter, ParameterTable
+from sysid.stated import Stated, error_of
 
 # What is measured, by line of a template.
 MEASURED = {
@@ -26,11 +28,12 @@ PLAIN = {
 def measured(text):
     """Return a campaign whose placeholders are filled in."""
     for key, value in MEASURED.items():
-        text = re.sub(rf'(?m)^{key} = "TODO[^"]*"', f'{key} = "{value}"', text)
-    return re.sub('"TODO m+"', '"0 m"', text)
+        text = re.sub(rf'(?m)^{key} = "TODO[^"±]*', f'{key} = "{value}', text)
+    return re.sub("TODO( m+)? ", "0 m ", text)
 
 
-TEMPLATES = {kind: measured(text) for kind, text in PLAIN.items()}
+WITH_ERRORS = {kind: measured(text) for kind, text in PLAIN.items()}
+TEMPLATES = {kind: re.sub(r'(?m)(?<=\S) *±[^"\n]*(?=")', "", text) for kind, text in WITH_ERRORS.items()}
 
 
 def _write(tmp_path, text):
@@ -73,6 +76,24 @@ def test_what_the_user_must_measure_is_refused_until_it_is_filled_in(kind, words
     stated = "\n".join(line.partition("#")[0] for line in PLAIN[kind].splitlines())
     for value in MEASURED.values():
         assert value not in stated
+
+
+@pytest.mark.parametrize("kind", ["gear", "motor"])
+def test_a_new_campaign_states_the_typical_errors(kind, tmp_path):
+    """The same campaign without errors assumes those that the template states."""
+
+    def errors(text):
+        campaign = read_campaign(_write(tmp_path, text), kind)
+        tables = (
+            (campaign.motor,) if kind == "motor" else (campaign.vehicle, campaign.capture, campaign.surface)
+        )
+        fields = [value for table in tables for _, value in table]
+        flat = [one for value in fields for one in (value if isinstance(value, tuple) else (value,))]
+        return [(float(one), error_of(one)) for one in flat if isinstance(one, Stated)]
+
+    stated, assumed = errors(WITH_ERRORS[kind]), errors(TEMPLATES[kind])
+    assert sum(error > 0 for _, error in stated) >= (3 if kind == "motor" else 13)
+    np.testing.assert_allclose(stated, assumed, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("kind", "old", "new", "sentence"), [

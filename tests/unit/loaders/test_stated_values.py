@@ -107,9 +107,9 @@ def test_what_is_no_error_is_refused(text, unit, words):
 
 
 def test_a_stated_value_is_a_float_that_keeps_its_error():
-    mass = Stated(1.242, 0.002, True)
+    mass = Stated(1.242, 0.002, "2 g")
     for copied in (pickle.loads(pickle.dumps(mass)), copy.copy(mass), copy.deepcopy([mass])[0]):
-        assert (copied, copied.error, copied.assumed) == (1.242, 0.002, True)
+        assert (copied, copied.error, copied.assumed) == (1.242, 0.002, "2 g")
     assert {1.242: "found"}[mass] == "found"
     assert (repr(mass), f"{mass:.2f}", json.dumps(mass)) == ("1.242", "1.24", "1.242")
     assert type(mass + 1.0) is type(2 * mass) is type(-mass) is float
@@ -144,7 +144,7 @@ def test_a_left_out_offset_is_zero_as_well_as_one_measures_it(stating):
     text = re.sub(r"(?m)^centre_of_mass_offset.*\n", "", path.read_text(encoding="utf-8"))
     path.write_text(text, encoding="utf-8")
     offset = read_campaign(path).capture.centre_of_mass_offset
-    assert [(value, value.error, value.assumed) for value in offset] == [(0.0, 1e-3, True)] * 3
+    assert [(value, value.error, value.assumed) for value in offset] == [(0.0, 1e-3, "1 mm")] * 3
 
 
 def test_stated_errors_win_element_by_element(stating):
@@ -162,7 +162,7 @@ def test_stated_errors_win_element_by_element(stating):
     assert [error_of(value) for value in measured] == pytest.approx(
         [2e-3, 0.0, 1e-3, 0.05, 0.02, 1e-3, 2e-4, 2e-3, 0.05 * DEG], rel=1e-12
     )
-    assert [value.assumed for value in measured] == [False] * 5 + [True] + [False] * 3
+    assert [value.assumed for value in measured] == [""] * 5 + ["1 mm"] + [""] * 3
     # The numbers themselves are those of the sample.
     assert (vehicle.body_mass, surface.point) == (1.242, read_campaign(GEAR).surface.point)
     assert read_campaign(stating(MOTOR, kv='"920 ± 10 rpm/V"')).motor.kv.error == pytest.approx(math.pi / 3)

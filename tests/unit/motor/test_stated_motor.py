@@ -11,6 +11,7 @@ from fakes.motor_bench import bench_of, edited, problem_of
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
+from sysid.workflows.check import check_campaign
 
 SHORT = (
     TrialPlan("forward-1", "forward", "fit", 0.25, (0.62, 0.35, 0.80), 0.45, "csv"),
@@ -52,8 +53,11 @@ def test_what_was_measured_moves(path):
     shares = [space.stated[name].error / space.stated[name] for name in measured]
     assert shares == pytest.approx([0.02, 0.05, 0.005], rel=1e-3)
     assert not any(value.assumed for value in space.stated.values())
-    # A campaign that states no error moves nothing.
-    assert not problem_of(*bench_of(path.with_name("campaign.toml"))).space.stated
+    # A campaign that states no error has the typical ones, which are those of this lab.
+    assumed = problem_of(*bench_of(path.with_name("campaign.toml"))).space.stated
+    assert {*assumed} == {*measured, *CURVES}
+    assert [assumed[name].assumed for name in measured] == ["2 %", "5 %", "0.5 %"]
+    assert [assumed[name].error / assumed[name] for name in measured] == pytest.approx(shares, rel=1e-3)
     assert [row.name for row in space.found] == [
         "winding_resistance", "winding_inductance", "viscous_damping", "command_delay[forward-1.csv]",
         "command_delay[reverse-1.h5]",
@@ -77,6 +81,21 @@ def test_what_was_measured_moves(path):
     assert space.stated["reference_voltage"].error == pytest.approx(0.2 / math.sqrt(12))
     exact = edited(path, ("exact = false", "exact = true"))
     assert not problem_of(*bench_of(exact)).space.stated
+
+
+def test_check_says_whose_error_decides(path):
+    heard = []
+    found = check_campaign(path.with_name("campaign.toml"), say=heard.append)
+    # R goes as k²: its half-width is twice that of a Kv known to 2 %, and little else.
+    half_width = next(row.half_width for row in found.parameters if row.name == "winding_resistance")
+    assert half_width == pytest.approx(2 * 1.96 * 0.02, rel=0.05)
+    (worth,) = [one for one in found.sentences if one.startswith("measured four times better")]
+    assert re.search(r"kv \(R ± 7\.8 % -> ± 2(\.\d)? %", worth)
+    (idle,) = [one for one in found.sentences if one.startswith("measured better")]
+    assert "rotor_inertia, static curves" in idle
+    assert "kv" not in idle
+    told = "assumed errors, within which these are fitted: reference_voltage 0.5 %, kv 2 %, rotor_inertia 5 %"
+    assert any(told in line for line in heard)
 
 
 def test_a_moved_value_is_the_value_stated_there(path):

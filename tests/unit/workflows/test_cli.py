@@ -170,7 +170,7 @@ def test_a_minimal_campaign_says_what_the_logs_say_and_refuses_the_rest(tmp_path
     assert len(text.splitlines()) - len(stated["trials"]) <= 25
     slopes = [trial["slope"] for trial in stated["trials"]]
     wanted = ["5.0", "10.0", "15.0", "20.0", "27.0", "TODO", "12.0", "24.0"]
-    assert slopes == [f"{slope} deg" for slope in wanted]
+    assert slopes == [f"{slope} ± 0.2 deg" for slope in wanted]
     found = {key: stated["capture"][key] for key in ("rigid_body", "up", "down_slope")}
     assert found == {"rigid_body": "F450", "up": "+y", "down_slope": "-z"}
     names = ["still TODO: ", "drop-6-35deg-0.45mps'].slope", "vehicle.body_mass", "surface.kinetic_friction"]
@@ -181,7 +181,7 @@ def test_a_minimal_campaign_says_what_the_logs_say_and_refuses_the_rest(tmp_path
     }  # fmt: skip
     for key, value in measured.items():
         text = re.sub(rf'(?m)^{key} = "TODO[^"]*"', f'{key} = "{value}"', text)
-    target.write_text(text.replace("TODO mm", "0 mm").replace("TODO", "35"), encoding="utf-8")
+    target.write_text(text.replace("TODO ± 1 mm", "0 ± 1 mm").replace("TODO", "35"), encoding="utf-8")
     assert read_campaign(target, "gear").trials[5].slope == pytest.approx(np.radians(35))
 
 
@@ -195,7 +195,7 @@ def test_shares_of_full_command_are_a_unit_of_campaigns(tmp_path, run, levels, d
     log.write_text("\n".join([head, *rows]), encoding="utf-8")
     code, _, err = run("new-campaign", "motor", "--minimal", "--from", log, "--out", target)
     assert code == 0, err
-    text = target.read_text(encoding="utf-8").replace("TODO rpm/V", "900 rpm/V")
+    text = target.read_text(encoding="utf-8").replace("TODO rpm/V ±", "900 rpm/V ±")
     assert re.search(r'(?m)^reference_voltage = "12 V" +# median of the logged supply voltage$', text)
     target.write_text(text.replace("TODO kg·m²", "2e-5 kg·m²"), encoding="utf-8")
     campaign = read_campaign(target, "motor")
