@@ -14,22 +14,29 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sysid.api import Campaign as Campaign
     from sysid.api import Fit as Fit
+    from sysid.api import Judgement as Judgement
     from sysid.api import Kind as Kind
+    from sysid.api import compare as compare
+    from sysid.api import cross_validate as cross_validate
+    from sysid.api import explain as explain
     from sysid.api import fit_campaign as fit_campaign
     from sysid.api import fit_gear as fit_gear
     from sysid.api import fit_motor as fit_motor
     from sysid.api import inspect as inspect
     from sysid.api import load_fit as load_fit
     from sysid.api import load_log as load_log
-    from sysid.api import load_parameter_sets as load_parameter_sets
     from sysid.api import register as register
-    from sysid.api import simulate_drop as simulate_drop
-    from sysid.api import simulate_landing as simulate_landing
+    from sysid.api import validate as validate
+    from sysid.api_landing import design_study as design_study
+    from sysid.api_landing import impulse_map as impulse_map
+    from sysid.api_landing import landing_map as landing_map
+    from sysid.api_landing import simulate_drop as simulate_drop
+    from sysid.api_landing import simulate_landing as simulate_landing
+    from sysid.api_landing import static_limits as static_limits
     from sysid.errors import SysidError as SysidError
+    from sysid.export import load_parameter_sets as load_parameter_sets
     from sysid.export.numbers import numbers_for as numbers_for
     from sysid.parameter_sets import ParameterSets as ParameterSets
-    from sysid.workflows.map_pictures import impulse_map as impulse_map
-    from sysid.workflows.map_pictures import landing_map as landing_map
 
 # A fit's matrices are small: several threads of BLAS wait for one another, take up to twice the processor
 # time, and make the last bits depend on the number of cores. Without effect where numpy is loaded already.
@@ -40,14 +47,16 @@ __version__ = "0.1.0"
 # Imported on first use: `import sysid` stays light.
 _HOMES = {
     "sysid.api": (
-        "Campaign", "Fit", "Kind", "fit_campaign", "fit_gear", "fit_motor", "inspect", "load_fit", "load_log",
-        "register", "simulate_drop", "simulate_landing",
+        "Campaign", "Fit", "Judgement", "Kind", "compare", "cross_validate", "explain", "fit_campaign",
+        "fit_gear", "fit_motor", "inspect", "load_fit", "load_log", "register", "validate",
+    ),
+    "sysid.api_landing": (
+        "design_study", "impulse_map", "landing_map", "simulate_drop", "simulate_landing", "static_limits",
     ),
     "sysid.errors": ("SysidError",),
     "sysid.export": ("load_parameter_sets",),
     "sysid.export.numbers": ("numbers_for",),
     "sysid.parameter_sets": ("ParameterSets",),
-    "sysid.workflows.map_pictures": ("impulse_map", "landing_map"),
 }  # fmt: skip
 __all__ = sorted(name for names in _HOMES.values() for name in names)
 

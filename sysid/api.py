@@ -5,48 +5,58 @@ Nothing here prints. An input that cannot be used is a `sysid.SysidError` of one
 
 from __future__ import annotations
 
-import difflib
 import math
+import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import is_dataclass
+from functools import partial
+from inspect import cleandoc, signature
 from numbers import Integral, Real
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Self, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from sysid.campaign import read_campaign
 from sysid.campaign.common import CampaignTable
 from sysid.documents import mistake
-from sysid.errors import CampaignError, ExportError, FitError
+from sysid.errors import CampaignError, FitError
 from sysid.export import load_parameter_sets as load_parameter_sets
 from sysid.fit.kind import Kind as Kind
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.store import fit_folder, read_fit
-from sysid.landing.drone import drone
-from sysid.landing.simulate import Landing
+from sysid.journal import Say
 from sysid.loaders import load
 from sysid.marks import Flag, field_hints, field_values, mark_of
-from sysid.parameter_sets import ParameterSets, RankedSet, interval_columns
+from sysid.parameter_sets import ParameterSets, interval_columns
 from sysid.recording import Recording
 from sysid.report.inspect_figures import figure_logs
+from sysid.report.ladder import conclusion
+from sysid.search_options import Algorithm, Finisher
 from sysid.shown import Shown
 from sysid.storage import path_of
 from sysid.trials.look import LogReport, inspect_recording
-from sysid.trust.documents import CheckDocument, FreeParameter, TrustDocument, with_intervals
+from sysid.trust.comparison import Comparison
+from sysid.trust.documents import (
+    CheckDocument,
+    CrossValidationDocument,
+    FreeParameter,
+    JudgedTrial,
+    LadderDocument,
+    TrustDocument,
+    ValidationDocument,
+    with_intervals,
+)
 from sysid.workflows import fit as fits
 from sysid.workflows.check import check_campaign
+from sysid.workflows.compare import compare_fits
 from sysid.workflows.kinds import register as register
-from sysid.workflows.landing import controller_of, land_drone
-from sysid.workflows.options import (
-    FitOptions,
-    ReportOptions,
-    TouchdownOptions,
-    TrustOptions,
-    campaign_file,
-)
+from sysid.workflows.ladder import climb
+from sysid.workflows.options import FitOptions, ReportOptions, TrustOptions, campaign_file
+from sysid.workflows.predict import cross_validate as leave_out
+from sysid.workflows.predict import validate_fit
 from sysid.workflows.report import write_report
 from sysid.workflows.show import verdict_on
 from sysid.workflows.trust import assess_fit
@@ -56,8 +66,41 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Options = TypeVar("Options")
+Function = TypeVar("Function", bound=Callable[..., object])
+Doc = TypeVar(
+    "Doc", bound=CheckDocument | TrustDocument | ValidationDocument | CrossValidationDocument | LadderDocument
+    | Comparison, covariant=True,
+)  # fmt: skip
+# True: lines on standard error, as of a command. A function: it gets the lines.
+Progress = bool | Callable[[str], None]
+_DIFFERS = {True: "differs", False: "no difference", None: "not judged"}
 # Largest whole number that is read [1]: a larger one has no place among floating-point numbers.
 _LARGEST = 10**300
+
+
+def documented(options: Any) -> Callable[[Function], Function]:
+    """Return a decorator that adds to a docstring what the options of a command mean."""
+
+    def add(function: Function) -> Function:
+        marks = dict(_marks(options))
+        names = [name for name in signature(function).parameters if name in marks]
+        lines = [
+            f"{name} : {marks[name].help}" + f" [{marks[name].unit}]" * bool(marks[name].unit)
+            for name in names
+        ]
+        text = "\n".join(["Options", "-------", *lines])
+        function.__doc__ = f"{cleandoc(function.__doc__ or '')}\n\n{text}\n"
+        return function
+
+    return add
+
+
+def _marks(options: Any) -> Iterator[tuple[str, Flag]]:
+    for name, hint in field_hints(options).items():
+        if is_dataclass(hint):
+            yield from _marks(hint)
+        elif isinstance(mark := mark_of(hint), Flag):
+            yield name, mark
 
 
 class Log(Recording):
@@ -112,16 +155,17 @@ def inspect(path: str | Path, *, format: str = "auto", **options: object) -> Log
     return inspect_recording(load(path_of(path, "a log"), format=format, **options))
 
 
-class Judgement(Shown):
-    """What `check` and `trust` say: a row per parameter, sentences, warnings, and the whole `document`."""
+class Judgement(Shown, Generic[Doc]):
+    """What a verb says: a row per parameter, trial or term, sentences, warnings, and the whole `document`."""
 
-    def __init__(self, document: CheckDocument | TrustDocument) -> None:
+    def __init__(self, document: Doc) -> None:
         self.document = document
 
     def __repr__(self) -> str:
-        verdicts = Counter(row.verdict.replace("_", " ") for row in self.document.parameters)
-        counts = ", ".join(f"{count} {word}" for word, count in verdicts.items())
-        return f"<Judgement of {verdicts.total()} parameters: {counts}; warnings: {len(self.warnings)}>"
+        rows, what = self._rows()
+        words = Counter(str(row["verdict"]).replace("_", " ") for row in rows.values())
+        counts = ", ".join(f"{count} {word}" for word, count in words.items())
+        return f"<Judgement of {len(rows)} {what}s: {counts}; warnings: {len(self.warnings)}>"
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -130,10 +174,15 @@ class Judgement(Shown):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What a check advises, or how far noise explains a fit."""
-        if isinstance(self.document, CheckDocument):
-            return tuple(self.document.sentences)
-        return (self.document.adequacy.sentence,) if self.document.adequacy else ()
+        """What is concluded: advice, reasons, or how far noise explains a fit."""
+        document = self.document
+        if isinstance(document, LadderDocument):
+            return tuple(conclusion(document))
+        if isinstance(document, CheckDocument | Comparison):
+            return tuple(document.sentences)
+        if isinstance(document, TrustDocument):
+            return (document.adequacy.sentence,) if document.adequacy else ()
+        return tuple(document.reasons)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -141,24 +190,66 @@ class Judgement(Shown):
         return self.to_frame()
 
     def to_frame(self) -> pd.DataFrame:
-        """Return symbol, unit, value, and the 95 % interval or relative half-width, and verdict [SI]."""
+        """Return a row per parameter [SI], predicted trial or term, each with a verdict.
+
+        A half-width is half of the 95 % interval over the value.
+        """
         import pandas as pd
 
-        rows = [
-            {"symbol": row.symbol, "unit": row.unit, "value": row.value}
-            | (
-                interval_columns(row)
-                if isinstance(row, FreeParameter)
-                else {"half_width": row.half_width, "verdict": row.verdict}
-            )
-            for row in self.document.parameters
-        ]
-        names = [row.name for row in self.document.parameters]
-        return pd.DataFrame(rows, index=pd.Index(names, name="parameter"))
+        rows, what = self._rows()
+        return pd.DataFrame([*rows.values()], index=pd.Index([*rows], name=what))
 
     def remarks(self) -> tuple[str, ...]:
         """Return sentences, then warnings."""
         return (*self.sentences, *self.warnings)
+
+    def _rows(self) -> tuple[dict[str, dict[str, object]], str]:
+        document: object = self.document
+        rows: dict[str, dict[str, object]]
+        if isinstance(document, CheckDocument | TrustDocument):
+            rows = {
+                row.name: {"symbol": row.symbol, "unit": row.unit, "value": row.value}
+                | (
+                    interval_columns(row)
+                    if isinstance(row, FreeParameter)
+                    else {"half-width / value": row.half_width, "verdict": row.verdict}
+                )
+                for row in document.parameters
+            }
+            return rows, "parameter"
+        if isinstance(document, Comparison):
+            rows = {
+                row.parameter: {
+                    "symbol": row.symbol,
+                    "unit": row.unit,
+                    **dict(zip(row.fits, row.values, strict=True)),
+                }
+                | {"difference": row.difference, "verdict": _DIFFERS[row.differs]}
+                for row in document.differences
+            }
+            return rows, "parameter"
+        if isinstance(document, LadderDocument):
+            rungs = [document.base, *document.simpler, *document.alone]
+            rows = {
+                " and ".join(rung.terms) or "as fitted": {"NRMSE": rung.nrmse, "over noise": rung.over_noise}
+                | {"gain": rung.gain, "chance": rung.chance, "verdict": "kept" if rung.kept else "not kept"}
+                for rung in rungs
+            }
+            return rows, "term"
+        assert isinstance(document, ValidationDocument | CrossValidationDocument)
+        rows = {
+            trial.name: {"NRMSE": trial.nrmse[0], "over noise": trial.ratio}
+            | {"leaves the noise at [s]": trial.leaves.time if trial.leaves else math.nan}
+            | {"verdict": _beside_noise(trial)}
+            for trial in document.trials
+        }
+        return rows, "trial"
+
+
+def _beside_noise(trial: JudgedTrial) -> str:
+    if math.isnan(trial.ratio):
+        return "not judged"
+    return "leaves the noise" if trial.leaves else "within the noise"
 
 
 class Campaign:
@@ -201,13 +292,13 @@ class Campaign:
         """Names of the trials."""
         return tuple(trial.name for trial in self.content.trials)
 
-    def check(self, *, surface: str | None = None, threads: int | None = None) -> Judgement:
+    def check(self, *, surface: str | None = None, threads: int | None = None) -> Judgement[CheckDocument]:
         """Say before a fit what the trials will determine, and what to record next.
 
         `surface` overrides a gear campaign's friction law. The file is read again. Raises SysidError when
         an input cannot be used.
         """
-        threads = python_options(TrustOptions, {"threads": threads}).threads
+        threads = python_options(TrustOptions, locals()).threads
         return Judgement(check_campaign(self.path, surface=surface, threads=threads))
 
 
@@ -244,7 +335,8 @@ class FitTrial(Shown):
 class Fit(Shown):
     """A fit: its sets, trials, trust and report.
 
-    `result` has all arrays of the search, `folder` is where it lies, or None where none was kept.
+    `result` has all arrays of the search, `folder` is where it lies, or None where none was kept; `place` is
+    then a folder that ends with this object.
 
     Examples
     --------
@@ -267,18 +359,18 @@ class Fit(Shown):
 
     def __init__(self, result: FitResult, folder: Path, kept: TemporaryDirectory[str] | None = None) -> None:
         # A temporary folder lives as long as this object.
-        self.result, self._folder, self._kept = result, folder, kept
+        self.result, self.place, self._kept = result, folder, kept
 
     @property
     def folder(self) -> Path | None:
         """Folder of the fit."""
-        return None if self._kept else self._folder
+        return None if self._kept else self.place
 
     def __repr__(self) -> str:
         result = self.result
         count = len(result.nrmse)
         best = f"{count} set{'' if count == 1 else 's'}, best NRMSE {100 * result.nrmse[0]:.2f} %"
-        where = "no folder kept" if self._kept else self._folder.as_posix()
+        where = "no folder kept" if self._kept else self.place.as_posix()
         return f"<Fit {result.name} ({result.kind}, {result.state}): {best}; {where}>"
 
     @property
@@ -331,28 +423,37 @@ class Fit(Shown):
         for trial in self.result.trials:
             if trial.name == name:
                 return FitTrial(self.result, trial)
-        raise FitError(f"{self.result.name}: no trial {name!r}; found {', '.join(self.trials)}")
+        absent = FitError(f"{self.result.name}: no trial {name!r}; found {', '.join(self.trials)}")
+        raise absent.also(KeyError)
 
-    def trust(self, **options: object) -> Judgement:
+    @documented(TrustOptions)
+    def trust(
+        self, *, campaign: str | Path | None = None, resamples: int = 100, seed: int = 1,
+        threads: int | None = None, dask: str | None = None, progress: Progress = False,
+    ) -> Judgement[TrustDocument]:  # fmt: skip
         """Find the interval and verdict of every parameter, with a bootstrap over the trials.
 
-        `options` as of ``sysid trust``: ``resamples``, ``seed``, ``threads``, ``campaign``. The result
-        is kept in the folder, and `table` shows it. Raises SysidError when the campaign cannot be used.
+        The result is kept in the folder, and `table` shows it. Raises SysidError when the campaign cannot be
+        used.
         """
-        document = assess_fit(self._folder, python_options(TrustOptions, options))
-        self.result = with_intervals(read_fit(self._folder), self._folder)
+        document = assess_fit(self.place, python_options(TrustOptions, locals()), say_of(progress))
+        self.result = with_intervals(read_fit(self.place), self.place)
         return Judgement(document)
 
-    def report(self, out: str | Path | None = None, **options: object) -> Path:
+    @documented(ReportOptions)
+    def report(
+        self, out: str | Path | None = None, *, against: str | Path | None = None,
+        compare: str | Path | None = None, figure: str | Path | None = None, gif: str | Path | None = None,
+        mp4: str | Path | None = None, drop: str | None = None, force: bool = False,
+    ) -> Path:  # fmt: skip
         """Write the report as one HTML page and return its path, by default ``report.html`` in the folder.
 
-        `options` as of ``sysid report``: ``against``, ``figure``, ``gif``, ``drop``, ``force``. Raises
-        SysidError when something is missing or would be overwritten.
+        Raises SysidError when something is missing or would be overwritten.
         """
+        options = python_options(ReportOptions, locals())
         if out is None and self._kept:
             raise FitError(f"{self.result.name}: no folder was kept; name the page, as in report('fit.html')")
-        given = {**options, "out": None if out is None else path_of(out, "the page")}
-        return write_report(self._folder, python_options(ReportOptions, given))["report"]
+        return write_report(self.place, options)["report"]
 
 
 def load_fit(path: str | Path) -> Fit:
@@ -362,11 +463,19 @@ def load_fit(path: str | Path) -> Fit:
     return Fit(with_intervals(read_fit(path), folder), folder)
 
 
+@documented(FitOptions)
 def fit_campaign(
     campaign: str | Path | Campaign, out: str | Path | None = None, *, kind: str | None = None,
-    law: Mapping[str, object] | None = None, **options: object,
+    law: Mapping[str, object] | None = None,
+    runs: int | None = None, population: int | None = None, seed: int | None = None,
+    max_generations: int | None = None, algorithm: Algorithm | None = None, finish: Finisher | None = None,
+    exact: bool | None = None, max_evaluations: int | None = None, time_limit: str | float | None = None,
+    check: bool = True, trust: bool = True, force: bool = False, resume: bool = False,
+    threads: int | None = None, dask: str | None = None, progress: Progress = False,
 ) -> Fit:  # fmt: skip
     """Fit the model of a campaign's kind to its trials.
+
+    Ctrl-C ends the search and keeps what was found: the fit's state is then ``stopped``.
 
     Parameters
     ----------
@@ -378,125 +487,168 @@ def fit_campaign(
         The only kind that is accepted.
     law : mapping, optional
         Settings instead of the campaign's, such as ``{"surface": "hf"}``.
-    **options
-        As of the commands: ``runs``, ``seed``, ``population``, ``max_generations``, ``time_limit="20min"``,
-        ``algorithm``, ``finish``, ``threads``, ``trust=False``, ``resume``, ``force``, ``dask``.
+    progress : bool or function
+        Show how far the fit is, on standard error; a function gets each line.
 
     Raises
     ------
     SysidError
         When an input cannot be used; nothing has been written then.
     """
-    path = campaign.path if isinstance(campaign, Campaign) else campaign_file(path_of(campaign, "a campaign"))
-    kept = TemporaryDirectory(prefix="sysid-") if out is None else None
-    folder = Path(kept.name) / "fit" if kept else path_of(out, "the new fit folder")
-    chosen = python_options(FitOptions, options, out=folder, quiet=True)
-    result, written = fits.fit_campaign(path, chosen, kind=kind, law=law)
-    return Fit(result, written, kept)
+    return _fitted(locals())
 
 
+@documented(FitOptions)
 def fit_gear(
     campaign: str | Path | Campaign, out: str | Path | None = None, *, surface: str | None = None,
-    **options: object,
+    runs: int | None = None, population: int | None = None, seed: int | None = None,
+    max_generations: int | None = None, algorithm: Algorithm | None = None, finish: Finisher | None = None,
+    exact: bool | None = None, max_evaluations: int | None = None, time_limit: str | float | None = None,
+    check: bool = True, trust: bool = True, force: bool = False, resume: bool = False,
+    threads: int | None = None, dask: str | None = None, progress: Progress = False,
 ) -> Fit:  # fmt: skip
     """Fit a landing gear to drops, see `fit_campaign`.
 
     `surface` is another friction law than the campaign's.
     """
     law = {} if surface is None else {"surface": surface}
-    return fit_campaign(campaign, out, kind="gear", law=law, **options)
+    return _fitted({**locals(), "kind": "gear"})
 
 
-def fit_motor(campaign: str | Path | Campaign, out: str | Path | None = None, **options: object) -> Fit:
+@documented(FitOptions)
+def fit_motor(
+    campaign: str | Path | Campaign, out: str | Path | None = None, *,
+    runs: int | None = None, population: int | None = None, seed: int | None = None,
+    max_generations: int | None = None, algorithm: Algorithm | None = None, finish: Finisher | None = None,
+    exact: bool | None = None, max_evaluations: int | None = None, time_limit: str | float | None = None,
+    check: bool = True, trust: bool = True, force: bool = False, resume: bool = False,
+    threads: int | None = None, dask: str | None = None, progress: Progress = False,
+) -> Fit:  # fmt: skip
     """Fit a motor to bench logs, see `fit_campaign`."""
-    return fit_campaign(campaign, out, kind="motor", law=None, **options)
+    return _fitted({**locals(), "kind": "motor", "law": {}})
 
 
-def simulate_drop(gear: RankedSet, slope: str | float, speed: str | float, **options: object) -> Landing:
-    """Simulate a drop without thrust, from the touchdown on.
+def _fitted(given: Mapping[str, Any]) -> Fit:
+    """Return the fit that the arguments of a function ask for."""
+    path, out, progress = campaign_path(given["campaign"]), given["out"], given["progress"]
+    kept = TemporaryDirectory(prefix="sysid-") if out is None else None
+    folder = Path(kept.name) / "fit" if kept else path_of(out, "the new fit folder")
+    options = python_options(FitOptions, given, out=folder, quiet=not progress)
+    say = say_of(progress)
+    hear = None if isinstance(progress, bool) else say
+    result, written = fits.fit_campaign(
+        path, options, kind=given["kind"], law=given["law"], say=say, hear=hear
+    )
+    return Fit(result, written, kept)
 
-    Parameters
-    ----------
-    gear : RankedSet
-        Such as ``sets.best``.
-    slope, speed : str or float
-        Slope of the ground and vertical touchdown speed, with units; bare numbers are in rad and m/s.
-    **options
-        As of ``sysid simulate``: ``pitch``, ``pitch_rate``, ``horizontal_speed``, ``rate``, ``horizon``, and
-        when a landing is over.
+
+def say_of(progress: Progress) -> Say:
+    """Return what takes sentences while a verb works."""
+    if isinstance(progress, bool):
+        return partial(print, file=sys.stderr) if progress else None
+    if not callable(progress):
+        raise CampaignError(f"progress = {progress!r:.60}: expected True, False or a function").also(
+            TypeError
+        )
+    return progress
+
+
+def campaign_path(campaign: object) -> Path:
+    """Return the file of a campaign, of its path or of the folder that holds it."""
+    if isinstance(campaign, Campaign):
+        return campaign.path
+    return campaign_file(path_of(campaign, "a campaign"))
+
+
+def place_of(fit: str | Path | Fit) -> Path:
+    """Return the folder of a fit, or the path that a caller gives."""
+    return fit.place if isinstance(fit, Fit) else path_of(fit, "a fit")
+
+
+@documented(TrustOptions)
+def validate(
+    fit: str | Path | Fit, campaign: str | Path | Campaign, *, threads: int | None = None,
+    progress: Progress = False,
+) -> Judgement[ValidationDocument]:  # fmt: skip
+    """Predict the trials of a campaign that a fit has not seen.
+
+    Of the campaign that was fitted, the trials of use "validate" serve. The result is kept in the fit's
+    folder. Raises SysidError when nothing is left to validate with.
 
     Examples
     --------
     >>> import sysid
-    >>> sets = sysid.load_parameter_sets("data_samples/published/published-gear-lf.json")
-    >>> float(sets.best["k_h"])  # N/m
-    6440.0
-    >>> drop = sysid.simulate_drop(sets.best, slope="20 deg", speed="0.5 m/s")
-    >>> drop
-    <Landing (no thrust; 20 deg, 0.5 m/s, lf): other, 1.193 m>
-    >>> drop.events[["event", "of"]].head(2).to_numpy().tolist()
-    [['touchdown', 'rear'], ['lift_off', 'rear']]
+    >>> taste = {"runs": 1, "population": 8, "max_generations": 2, "finish": "none", "trust": False}
+    >>> fits = [sysid.fit_motor("data_samples/motor", seed=seed, **taste) for seed in (1, 2)]
+    >>> sysid.validate(fits[0], "data_samples/motor").table.index.tolist()
+    ['forward-2', 'reversal-2']
+    >>> sysid.cross_validate(fits[0]).table.index.tolist()
+    ['forward-1', 'reverse-1']
+    >>> sysid.compare(*fits, cross=False)
+    <Judgement of 5 parameters: 5 not judged; warnings: 0>
+    >>> isinstance(sysid.explain(fits[0]), sysid.Judgement) and isinstance(fits[0], sysid.Fit)
+    True
     """
-    fixed = {"controller": "off", "controller_file": None, "trigger": "contact", "height": None}
-    chosen = python_options(TouchdownOptions, {"slope": slope, "speed": speed, **options}, **fixed)
-    return land_drone(drone(_set(gear)), chosen, None)
+    threads = python_options(TrustOptions, {"threads": threads}).threads
+    path = campaign_path(campaign)
+    return Judgement(validate_fit(place_of(fit), path, threads=threads, say=say_of(progress)))
 
 
-def simulate_landing(
-    gear: RankedSet, motor: RankedSet, slope: str | float, speed: str | float, controller: str = "reverse",
-    *, ideal_reversal: bool = False, **options: object,
-) -> Landing:  # fmt: skip
-    """Simulate a landing with motors under a controller; other arguments as for `simulate_drop`.
+@documented(TrustOptions)
+def cross_validate(
+    fit: str | Path | Fit, campaign: str | Path | Campaign | None = None, *, threads: int | None = None,
+    dask: str | None = None, progress: Progress = False,
+) -> Judgement[CrossValidationDocument]:  # fmt: skip
+    """Leave out each trial of a fit in turn, fit the rest, predict it.
 
-    Parameters
-    ----------
-    motor : RankedSet
-        Set of the motors.
-    controller : str
-        ``off``, ``reverse``, ``command:U``, ``impulse:delay=50ms,duration=0.1``, or one of yours.
-    ideal_reversal : bool
-        Let the motors reverse without delay.
-
-    Examples
-    --------
-    >>> import sysid
-    >>> gear = sysid.load_parameter_sets("data_samples/published/published-gear-lf.json")
-    >>> motor = sysid.load_parameter_sets("data_samples/published/published-motor.json")
-    >>> sysid.simulate_landing(gear.best, motor.best, slope="20 deg", speed="0.5 m/s")
-    <Landing (reverse; 20 deg, 0.5 m/s, lf): short after 0.643 s, 0.204 m>
+    The result is kept in the fit's folder. Raises SysidError when fewer than two trials were fitted.
     """
-    given = {"slope": slope, "speed": speed, "controller": controller, **options}
-    chosen = python_options(TouchdownOptions, given)
-    return land_drone(drone(_set(gear), _set(motor)), chosen, controller_of(chosen, ideal_reversal))
+    path = None if campaign is None else campaign_path(campaign)
+    options = python_options(TrustOptions, {**locals(), "campaign": path})
+    return Judgement(leave_out(
+        place_of(fit), options.campaign, threads=options.threads, dask=options.dask, say=say_of(progress)
+    ))  # fmt: skip
 
 
-def _set(given: object) -> RankedSet:
-    if isinstance(given, RankedSet):
-        return given
-    raise ExportError(f"expected one set of a fit, such as sets.best, found a {type(given).__name__}")
+@documented(TrustOptions)
+def compare(
+    *fits: str | Path | Fit, cross: bool = True, threads: int | None = None, progress: Progress = False
+) -> Judgement[Comparison]:
+    """Say which differences between two or more fits are real.
+
+    With `cross`, every fit also predicts the trials of every other one: ``document.cross``. Raises SysidError
+    for fits of several kinds.
+    """
+    threads = python_options(TrustOptions, locals()).threads
+    places = [place_of(fit) for fit in fits]
+    document, _ = compare_fits(places, cross=cross, threads=threads, say=say_of(progress))
+    return Judgement(document)
+
+
+@documented(TrustOptions)
+def explain(
+    fit: str | Path | Fit, campaign: str | Path | Campaign | None = None, *, threads: int | None = None,
+    progress: Progress = False,
+) -> Judgement[LadderDocument]:  # fmt: skip
+    """Say which physics a fit's model lacks, as ``sysid ladder`` does.
+
+    Adds each declared term to the model, finds those to keep among all together, and judges them on trials
+    left out. ``document.parameters`` are those to free in a campaign. Raises SysidError for a kind without
+    terms, and for too few fitted trials.
+    """
+    path = None if campaign is None else campaign_path(campaign)
+    options = python_options(TrustOptions, {**locals(), "campaign": path})
+    return Judgement(climb(place_of(fit), options.campaign, options.threads, say_of(progress)))
 
 
 def python_options(cls: type[Options], given: Mapping[str, object], **fixed: object) -> Options:
-    """Return the options `cls` of a call from Python: names are checked and texts read as on a command line.
+    """Return the options `cls` among the arguments of a call; texts are read as on a command line.
 
     Fields that are dataclasses themselves take theirs by the same names. `fixed` are fields that the caller
-    may not state. Raises `CampaignError` for an unknown name or a value of another kind.
+    may not state. Raises `CampaignError` for a value of another kind.
     """
     hints = {name: hint for name, hint in field_hints(cls).items() if name not in fixed}
-    known = sorted(_names(hints))
-    for name in given:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
-            raise CampaignError(f"no option {name!r}; {hint}")
     return cls(**field_values(hints, given, _checked), **fixed)
-
-
-def _names(hints: Mapping[str, object]) -> set[str]:
-    names: set[str] = set()
-    for name, hint in hints.items():
-        names |= _names(field_hints(hint)) if is_dataclass(hint) else {name}
-    return names
 
 
 def _checked(name: str, value: object, hint: Any) -> object:
@@ -512,13 +664,16 @@ def _checked(name: str, value: object, hint: Any) -> object:
         # numpy's numbers too
         value = int(value) if isinstance(value, Integral) else float(value)
         if isinstance(value, int) and abs(value) > _LARGEST:
-            raise CampaignError(f"{name}: expected a number of a few digits, found one of over 300")
+            raise CampaignError(f"{name}: expected a number of a few digits, found one of over 300").also(
+                ValueError
+            )
         if unit == "deg" and abs(value) > math.tau:
             raise CampaignError(
                 f"{name} = {value:g}: a bare number is in rad; write {name} = '{value:g} deg'"
-            )
+            ).also(ValueError)
     try:
         return TypeAdapter(hint, config=ConfigDict(strict=True, allow_inf_nan=False)).validate_python(value)
     except ValidationError as error:
         also = f"; a bare number is in SI, and a text such as '1 {unit}' has its unit" if unit else ""
-        raise CampaignError(f"{name} = {value!r}: {mistake(error.errors()[0])}{also}") from None
+        refusal = CampaignError(f"{name} = {value!r}: {mistake(error.errors()[0])}{also}")
+        raise refusal.also(ValueError) from None

@@ -4,6 +4,8 @@ Every message is one sentence that names what, where, what was found, what was e
 The command line prints it on one line and exits with 2.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -29,13 +31,30 @@ class SysidError(Exception):
     """Base of every refusal that sysid makes on purpose.
 
     `needs` are the loader options that a log lacks, by name, with the expected unit or a value that may fit.
+
+    Examples
+    --------
+    Where Python has an exception for the mistake, the refusal is that one as well:
+
+    >>> import sysid
+    >>> try:
+    ...     sysid.load_log("none.csv")
+    ... except FileNotFoundError as error:
+    ...     isinstance(error, sysid.SysidError)
+    True
     """
 
     needs: Mapping[str, object] = MappingProxyType({})
 
     def __str__(self) -> str:
-        text = printable(super().__str__())
+        # A KeyError among the bases would put quotes around its text.
+        text = printable(str(self.args[0]) if self.args else "")
         return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+
+    def also(self, builtin: type[Exception]) -> SysidError:
+        """Return the refusal as an exception that is a `builtin` one as well, such as KeyError."""
+        kind = type(self)
+        return type(kind.__name__, (kind, builtin), {"__module__": kind.__module__})(*self.args)
 
     def asking(self, **needs: object) -> Self:
         """Return the refusal, which asks for loader options."""

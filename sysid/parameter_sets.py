@@ -13,6 +13,8 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from numbers import Integral
+from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -24,6 +26,7 @@ from sysid.documents import Document, OpenMapping, Part, interval, rounded
 from sysid.errors import ExportError
 from sysid.parameters import Parameter, SearchSpace, with_unit
 from sysid.shown import Shown
+from sysid.storage import path_of
 from sysid.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -439,6 +442,15 @@ class RankedSet(dict[str, float]):
     def __setitem__(self, key: str, value: float) -> None:
         super().__setitem__(self.sets.names[self.sets.column(key)], float(value))
 
+    def alone(self) -> ParameterSets:
+        """Return parameter sets with this one alone, with its changed values."""
+        one = slice(self.rank - 1, self.rank)
+        arrays = {name: getattr(self.sets, name)[one] for name in ("nrmse", "at_bound", "nrmse_by_trial")}
+        values = np.array([[self[name] for name in self.sets.names]])
+        return replace(
+            self.sets, values=values, runs=self.sets.runs[one], seeds=self.sets.seeds[one], **arrays
+        )
+
     def known(self, names: Collection[str] | None = None) -> dict[str, float]:
         """Return the values [SI], or those that are among `names`; refuse NaN."""
         values = {name: value for name, value in self.items() if names is None or name in names}
@@ -460,7 +472,19 @@ class RankedSet(dict[str, float]):
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ParameterSets(SetsContent, Shown):
-    """Parameter sets of one model, best first, without the search behind them."""
+    """Parameter sets of one model, best first, without the search behind them.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> sets = sysid.load_parameter_sets("data_samples/published/published-motor.json")
+    >>> isinstance(sets, sysid.ParameterSets)
+    True
+    >>> float(sets["torque_constant"][0]) == sets.best["torque_constant"]
+    True
+    >>> [file.name for file in sets.save("motor.csv")]
+    ['motor.csv']
+    """
 
     # Number (from 1) and seed of the search run that found each set; 0 where there was none.
     runs: tuple[int, ...]
@@ -517,7 +541,9 @@ class ParameterSets(SetsContent, Shown):
     def column(self, name: str) -> int:
         """Return the column of `values` of a parameter, by name or symbol."""
         if not isinstance(name, str):
-            raise ExportError(f"{self.name}: expected the name of a parameter, found {name!r:.60}")
+            raise ExportError(f"{self.name}: expected the name of a parameter, found {name!r:.60}").also(
+                TypeError
+            )
         if name in self.names:
             return self.names.index(name)
         found = [i for i, record in enumerate(self.parameters) if record.symbol == name]
@@ -528,7 +554,7 @@ class ParameterSets(SetsContent, Shown):
             raise ExportError(f"{self.name}: {name!r} is the symbol of {several}; give the name")
         near = difflib.get_close_matches(name, [*self.names, *(r.symbol for r in self.parameters)], 1)
         hint = f"; nearest is {near[0]!r}" if near else f"; known are {', '.join(self.names)}"
-        raise ExportError(f"{self.name}: no parameter {name!r}{hint}")
+        raise ExportError(f"{self.name}: no parameter {name!r}{hint}").also(KeyError)
 
     def __getitem__(self, name: str) -> FloatArray:
         """Return a number (S,) of every set, best first [SI], by the parameter's name or symbol."""
@@ -571,8 +597,26 @@ class ParameterSets(SetsContent, Shown):
         if not (isinstance(rank, Integral) and 1 <= rank <= len(self)):
             raise ExportError(
                 f"{self.name}: no set of rank {rank!r:.60}; there are {len(self)}, the best is 1"
-            )
+            ).also(IndexError)
         return RankedSet(self, rank)
+
+    def save(
+        self, path: str | Path, *, force: bool = False, rank: int | None = None, slope: float = 0.0,
+        per_leg: bool = False, mass: float | None = None,
+    ) -> list[Path]:  # fmt: skip
+        """Write the sets in the format that the suffix of `path` names, and return the files.
+
+        The suffix is ``.json``, ``.csv``, ``.h5`` or ``.mat``; ``.xml`` is a MuJoCo model and ``.sdf`` a
+        Gazebo motor model of every set, or of the one of a `rank`. `slope` [rad] and `per_leg` are for
+        MuJoCo, the `mass` [kg] of a drone for Gazebo. An existing file is replaced only with `force`.
+        ExportError when the sets do not suit the format, or a file cannot be written.
+        """
+        # A writer stands above the sets that it writes.
+        write = resolve_name("sysid.workflows.export_models:export_sets")
+        files: list[Path] = write(
+            self, path_of(path, "the new file"), force, rank=rank, slope=slope, per_leg=per_leg, mass=mass
+        )
+        return files
 
     def _head(self) -> dict[str, Any]:
         channels = zip(self.channels, self.channel_units, self.channel_weights, strict=True)

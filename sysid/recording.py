@@ -158,7 +158,9 @@ class Recording(Shown):
             return self.channels[name]
         except KeyError:
             has = ", ".join(self.channels) or "none"
-            raise LogError(f"{self.provenance.path}: no channel {name!r}; found {has}") from None
+            raise LogError(f"{self.provenance.path}: no channel {name!r}; found {has}").also(
+                KeyError
+            ) from None
 
 
 def file_sha256(path: str | Path) -> str:

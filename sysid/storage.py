@@ -60,7 +60,9 @@ def _sentence(path: Path, error: BaseException) -> str:
 def path_of(given: object, what: str = "a file or folder") -> Path:
     """Return the path that a caller gives; SysidError for what no system takes as one."""
     if not isinstance(given, str | os.PathLike) or not isinstance(os.fspath(given), str) or not str(given):
-        raise SysidError(f"expected the path of {what} as text or a Path, found {given!r:.60}")
+        raise SysidError(f"expected the path of {what} as text or a Path, found {given!r:.60}").also(
+            TypeError
+        )
     path = Path(given)
     try:
         path.lstat()

@@ -43,7 +43,8 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
         content = path.read_bytes()
         text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
-        raise CampaignFileError(f"{path}: no such campaign file; 'sysid new-campaign' writes one") from None
+        absent = CampaignFileError(f"{path}: no such campaign file; 'sysid new-campaign' writes one")
+        raise absent.also(FileNotFoundError) from None
     except (OSError, UnicodeDecodeError) as error:
         raise CampaignFileError(
             f"{path}: cannot be read as UTF-8 text ({error}); name a campaign, which is a TOML file in UTF-8"

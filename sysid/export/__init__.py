@@ -69,9 +69,8 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
     try:
         data = file.read_bytes()
     except OSError as error:
-        raise ExportError(
-            f"{file}: cannot be read ({error.strerror}); expected a parameter-set file"
-        ) from error
+        refusal = ExportError(f"{file}: cannot be read ({error.strerror}); expected a parameter-set file")
+        raise refusal.also(type(error)) from error
     text = data[3:] if data.startswith(b"\xef\xbb\xbf") else data
     try:
         if data.startswith(binary.HDF5_SIGNATURE):

@@ -7,6 +7,7 @@ seconds.
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable
 from typing import Self
@@ -19,9 +20,14 @@ from sysid.fit.history import Generation, RunHistory
 from sysid.fit.optima import CUT
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import REASONS
+from sysid.journal import Say
 
-# Least time between two plain lines [s].
-PLAIN_INTERVAL = 10.0
+# Least time between two plain lines [s]: in a file, and in a notebook or for a function that hears them.
+PLAIN_INTERVAL, LINE_INTERVAL = 10.0, 0.5
+# Whether this is the kernel of a notebook, which has no terminal but replaces a line after a return.
+_NOTEBOOK = "ipykernel" in sys.modules
+# Width of a line that covers the one before [characters].
+_WIDTH = 100
 # Expected length of a run with least squares on the samples while none has ended [candidates]; measured: 1300
 # for a motor, 2600 for a gear.
 _FAST_RUN = 2000
@@ -33,10 +39,13 @@ _BAR = 30
 
 
 class LiveBlock:
-    """A live `block` on standard error in a terminal, a plain line every few seconds elsewhere."""
+    """A live `block` on standard error in a terminal, a plain line every few seconds elsewhere.
 
-    def __init__(self, quiet: bool, console: Console | None = None) -> None:
-        self._quiet = quiet
+    In a notebook that line takes the place of the one before. `hear` gets the lines instead.
+    """
+
+    def __init__(self, quiet: bool, console: Console | None = None, hear: Say = None) -> None:
+        self._quiet, self._hear = quiet, hear
         self._console = console if console is not None else Console(stderr=True)
         self._live: Live | None = None
         self._began = self._last_line = time.perf_counter()
@@ -47,7 +56,7 @@ class LiveBlock:
 
     def __enter__(self) -> Self:
         self._began = self._last_line = time.perf_counter()
-        if not self._quiet and self._console.is_terminal:
+        if not self._quiet and not self._hear and not _NOTEBOOK and self._console.is_terminal:
             self._live = Live(
                 console=self._console, get_renderable=self.block, refresh_per_second=4, transient=True
             )
@@ -61,15 +70,24 @@ class LiveBlock:
 
     def plain(self, line: Callable[[], str]) -> None:
         """Print a line where no block is shown and the last line is some seconds old."""
-        if self._quiet or self._live is not None:
+        interval = LINE_INTERVAL if self._hear or _NOTEBOOK else PLAIN_INTERVAL
+        if self._quiet or self._live is not None or time.perf_counter() - self._last_line < interval:
             return
-        if time.perf_counter() - self._last_line >= PLAIN_INTERVAL:
-            self._last_line = time.perf_counter()
+        self._last_line = time.perf_counter()
+        if _NOTEBOOK and not self._hear:
+            print(f"\r{line():<{_WIDTH}}", end="", file=sys.stderr, flush=True)
+        else:
             self.say(line())
 
     def say(self, line: str) -> None:
         """Print a line that stays, unless quiet."""
-        if not self._quiet:
+        if self._quiet:
+            return
+        if self._hear:
+            self._hear(line)
+        elif _NOTEBOOK:
+            print(f"\r{line:<{_WIDTH}}", file=sys.stderr, flush=True)
+        else:
             self._console.print(Text(line), soft_wrap=True)
 
 
@@ -86,8 +104,9 @@ class FitProgress(LiveBlock):
         simulated: str = "simulations",
         quiet: bool = False,
         console: Console | None = None,
+        hear: Say = None,
     ) -> None:
-        super().__init__(quiet, console)
+        super().__init__(quiet, console, hear)
         self._settings = settings
         self._simulated = simulated
         self._started = self._began

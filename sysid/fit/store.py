@@ -141,7 +141,10 @@ def read_fit(path: str | Path) -> FitResult:
             "sysid fit-motor or fit-gear wrote"
         )
     if not file_path.is_file():
-        raise FitError(f"{path}: no fit.h5 there; expected a folder that sysid fit-motor or fit-gear wrote")
+        absent = FitError(
+            f"{path}: no fit.h5 there; expected a folder that sysid fit-motor or fit-gear wrote"
+        )
+        raise absent.also(FileNotFoundError)
     with FIT_FILE.opened(file_path) as file:
         group = file["sets"]
         sets = ParameterSets.from_metadata(

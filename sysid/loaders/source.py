@@ -104,14 +104,15 @@ class Source:
             if self._file.is_dir():
                 raise LogError(f"{self.path} is a folder; give the log file inside it")
             if not self._file.exists():
-                raise LogError(
-                    f"{self.path}: no such file; check the path, which counts from the current folder"
-                )
+                absent = f"{self.path}: no such file; check the path, which counts from the current folder"
+                raise LogError(absent).also(FileNotFoundError)
             if not self._file.is_file():
                 raise LogError(f"{self.path} is not an ordinary file; copy the log to one first")
             with self._file.open("rb") as stream:
                 self.head = stream.read(_HEAD_BYTES)
                 self._state = _state(stream.fileno())
+        except LogError:
+            raise
         except (OSError, ValueError) as error:  # ValueError: a NUL byte inside the path
             raise LogError(f"{self.path}: cannot be read ({error}); check its permissions") from error
         if not self.head:

@@ -69,21 +69,21 @@ def print_exported(
         print(f"wrote {file}", file=sys.stderr if numbers else None)
 
 
-def _sets(source: str | Path) -> ParameterSets:
+def _sets(source: str | Path | ParameterSets) -> ParameterSets:
     """Return the sets of a fit folder or file; notice where the model does not explain them."""
-    sets = load_parameter_sets(source)
+    sets = source if isinstance(source, ParameterSets) else load_parameter_sets(source)
     if sets.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY:
         seen = "; thrust, torque and time constants of the stand do not depend on it"
         notice(
             "not-explained",
-            f"{source}: the model does not explain the trials, so no parameter is well known"
-            + seen * bool(sets.settings.get("stand")),
+            f"{sets.name if sets is source else source}: the model does not explain the trials, so no "
+            "parameter is well known" + seen * bool(sets.settings.get("stand")),
         )
     return sets
 
 
 def export_sets(
-    source: str | Path,
+    source: str | Path | ParameterSets,
     target: Path,
     force: bool = False,
     *,
@@ -92,7 +92,7 @@ def export_sets(
     per_leg: bool = False,
     mass: float | None = None,
 ) -> list[Path]:
-    """Write the ranked sets of a fit folder or file, and return the files; the suffix chooses the format.
+    """Write ranked sets, or those of a fit folder or file, and return the files; the suffix chooses how.
 
     Several sets become several models, ``NAME-1.xml``, ``NAME-2.xml`` ..., by rank; with a `rank` only that
     set is written, to `target` itself. For MuJoCo, `slope` is the ground's [rad], and `per_leg` models four

@@ -73,12 +73,13 @@ def fit_campaign(
     kind: str | None = None,
     law: Mapping[str, Any] | None = None,
     say: Say = None,
+    hear: Say = None,
 ) -> tuple[FitResult, Path]:
     """Fit a model to the trials of a campaign; return the ranked sets, what led to them, and the folder.
 
     The campaign must be of the `kind`, if one is named. `law` replaces the campaign's, see
-    `sysid.workflows.kinds.open_campaign`. Raises `SysidError` when an input cannot be used; nothing has been
-    written then.
+    `sysid.workflows.kinds.open_campaign`. `hear` gets the lines of progress that a terminal shows else.
+    Raises `SysidError` when an input cannot be used; nothing has been written then.
     """
     path, options = Path(path), options or FitOptions()
     exact = {"exact": True} if getattr(options, "exact", False) else {}
@@ -93,7 +94,7 @@ def fit_campaign(
     check_new_fit(folder, replaces)
     missing = ""
     with naming_campaign(path), ExitStack() as until_done, ExitStack() as until_written:
-        progress = FitProgress(search, model.words.trials, options.quiet)
+        progress = FitProgress(search, model.words.trials, options.quiet, hear=hear)
         journal = until_done.enter_context(Journal(say, model.words.trials))
         try:
             with journal.blaming():

@@ -65,6 +65,14 @@ def climb_and_print(
             save_figure(figure_rungs(document), figure)
 
 
+def climb(
+    folder: Path, campaign: Path | None = None, threads: int | None = None, say: Say = None
+) -> LadderDocument:
+    """Climb the ladder of a fit folder, see `climb_and_print`."""
+    with Journal(say) as journal:
+        return climb_ladder(open_fit(folder, campaign, threads), journal)
+
+
 def climb_ladder(opened: OpenedFit, journal: Journal) -> LadderDocument:
     """Climb the ladder of a fit; store and return the document. FitError where there is none to climb."""
     began = time.perf_counter()

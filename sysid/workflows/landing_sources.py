@@ -17,7 +17,7 @@ from sysid.fit.progress import LiveBlock
 from sysid.fit.stopping import stop_on_interrupt
 from sysid.journal import notice, tell
 from sysid.landing.controllers import Controller, Sensing, find_controller, load_controllers
-from sysid.landing.drone import drones
+from sysid.landing.drone import Pairing, drones
 from sysid.landing.maps import Fleets
 from sysid.parallel import executor
 from sysid.parameter_sets import ParameterSets
@@ -59,6 +59,22 @@ def chosen_controllers(
     return chosen
 
 
+def paired_fleets(
+    gears: Sequence[ParameterSets], motor: ParameterSets, pair: Pairing, names: Sequence[str]
+) -> Fleets:
+    """Return the drones of the sets of every gear, see `sysid.landing.drone.drones`.
+
+    ExportError, which names the gears, where two have one surface.
+    """
+    fleets = tuple(drones(gear, motor, pair) for gear in gears)
+    surfaces = [fleet[0].surface for fleet in fleets]
+    if len(set(surfaces)) < len(surfaces):
+        raise ExportError(
+            f"{', '.join(names)}: the surfaces are {', '.join(surfaces)}; give one gear file per surface"
+        )
+    return fleets
+
+
 def open_fleets(
     motors: MotorOptions, gears: Sequence[Path], out: Path | None = None
 ) -> tuple[Fleets, dict[str, object]]:
@@ -68,15 +84,9 @@ def open_fleets(
     """
     motor = load_parameter_sets(motors.motor)
     loaded = [load_parameter_sets(path) for path in gears]
-    fleets = tuple(drones(gear, motor, motors.pair) for gear in loaded)
-    surfaces = [fleet[0].surface for fleet in fleets]
-    if len(set(surfaces)) < len(surfaces):
-        raise ExportError(
-            f"{', '.join(str(path) for path in gears)}: the surfaces are {', '.join(surfaces)}; give one "
-            "gear file per surface"
-        )
+    fleets = paired_fleets(loaded, motor, motors.pair, [str(path) for path in gears])
     # Keys are surfaces, because fits of two surfaces may well have folders of one name.
-    places = zip(surfaces, gears, loaded, strict=True)
+    places = zip([fleet[0].surface for fleet in fleets], gears, loaded, strict=True)
     gear = {surface: _origin(path, sets, out) for surface, path, sets in places}
     origin = {"sysid": __version__, "pairing": motors.pair, "ideal_reversal": motors.ideal_reversal}
     return fleets, origin | {"gear": gear, "motor": _origin(motors.motor, motor, out)}

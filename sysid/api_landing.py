@@ -1,0 +1,357 @@
+"""Landings for Python: drops, landings, maps, design studies and static limits of identified sets.
+
+Gears and motors are sets, fits, fit folders or files, see `sysid.load_parameter_sets`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from sysid.api import Fit, documented, python_options
+from sysid.errors import CampaignError, ExportError
+from sysid.export import load_parameter_sets
+from sysid.landing.design_study import DesignStudy, find_changes
+from sysid.landing.design_study import design_study as study_of
+from sysid.landing.drone import Pairing, drone
+from sysid.landing.impulse_maps import after_impulses, impulse_maps
+from sysid.landing.maps import Fleets, landing_maps
+from sysid.landing.outcomes import OUTCOMES
+from sysid.landing.settings import ImpulseSettings, MapSettings, StudySettings
+from sysid.landing.simulate import Landing
+from sysid.landing.store import MapFile, write_maps, write_study
+from sysid.marks import span
+from sysid.parameter_sets import ParameterSets, RankedSet
+from sysid.report.design_figures import figure_design_study
+from sysid.report.landing_figures import figure_impulse, figure_of_file
+from sysid.resume import Computing
+from sysid.shown import Shown
+from sysid.storage import check_file, path_of
+from sysid.workflows.landing import controller_of, land_drone
+from sysid.workflows.landing_maps import limits_of
+from sysid.workflows.landing_sources import chosen_controllers, paired_fleets
+from sysid.workflows.options import (
+    DesignStudyOptions,
+    ImpulseMapOptions,
+    LandingMapOptions,
+    TouchdownOptions,
+)
+from sysid.workflows.static_limits import limit_rows
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+Sets = str | Path | Fit | ParameterSets | RankedSet
+Quantity = str | float
+Trigger = Literal["contact", "imu"]
+# A text such as "0:45:1", or the numbers themselves.
+Grid = str | Sequence[float]
+
+
+def sets_of(given: object) -> ParameterSets:
+    """Return ranked sets: of a fit, of a file or folder, or one set alone."""
+    if isinstance(given, ParameterSets):
+        return given
+    if isinstance(given, Fit):
+        return given.sets
+    if isinstance(given, RankedSet):
+        return given.alone()
+    if isinstance(given, str | Path):
+        return load_parameter_sets(given)
+    found = type(given).__name__
+    raise ExportError(f"expected sets, such as sets.best, a fit or its path, found a {found}").also(TypeError)
+
+
+def _set(given: Sets) -> RankedSet:
+    return given if isinstance(given, RankedSet) else sets_of(given).best
+
+
+@documented(TouchdownOptions)
+def simulate_drop(
+    gear: Sets, slope: Quantity, speed: Quantity, *, pitch: Quantity = 0.0, pitch_rate: Quantity = 0.0,
+    horizontal_speed: Quantity = 0.0, change: str | None = None, rate: Quantity = 1000.0,
+    horizon: Quantity = 3.0, short: Quantity = 0.45, long: Quantity = 1.0, rest_speed: Quantity = 0.05,
+    rest_turn: Quantity = 0.2, rest_time: Quantity = 0.2, flip_angle: Quantity = "80 deg",
+) -> Landing:  # fmt: skip
+    """Simulate a drop without thrust, from the touchdown on, with the best set of a gear or the given one.
+
+    Quantities are texts with a unit, or numbers in SI.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> sets = sysid.load_parameter_sets("data_samples/published/published-gear-lf.json")
+    >>> float(sets.best["k_h"])  # N/m
+    6440.0
+    >>> drop = sysid.simulate_drop(sets.best, slope="20 deg", speed="0.5 m/s")
+    >>> drop
+    <Landing (no thrust; 20 deg, 0.5 m/s, lf): other, 1.193 m>
+    >>> drop.events[["event", "of"]].head(2).to_numpy().tolist()
+    [['touchdown', 'rear'], ['lift_off', 'rear']]
+    """
+    fixed = {"controller": "off", "controller_file": None, "trigger": "contact", "height": None}
+    return land_drone(drone(_set(gear)), python_options(TouchdownOptions, locals(), **fixed), None)
+
+
+@documented(TouchdownOptions)
+def simulate_landing(
+    gear: Sets, motor: Sets, slope: Quantity, speed: Quantity, controller: str = "reverse", *,
+    controller_file: str | Path | None = None, trigger: Trigger = "contact", ideal_reversal: bool = False,
+    height: Quantity | None = None, pitch: Quantity = 0.0, pitch_rate: Quantity = 0.0,
+    horizontal_speed: Quantity = 0.0, change: str | None = None, rate: Quantity = 1000.0,
+    horizon: Quantity = 3.0, short: Quantity = 0.45, long: Quantity = 1.0, rest_speed: Quantity = 0.05,
+    rest_turn: Quantity = 0.2, rest_time: Quantity = 0.2, flip_angle: Quantity = "80 deg",
+) -> Landing:  # fmt: skip
+    """Simulate a landing with motors under a controller; the rest is as for `simulate_drop`.
+
+    Motors of an `ideal_reversal` reverse without delay.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> gear = "data_samples/published/published-gear-lf.json"
+    >>> motor = sysid.load_parameter_sets("data_samples/published/published-motor.json")
+    >>> sysid.simulate_landing(gear, motor, slope="20 deg", speed="0.5 m/s")
+    <Landing (reverse; 20 deg, 0.5 m/s, lf): short after 0.643 s, 0.204 m>
+    """
+    chosen = python_options(TouchdownOptions, locals())
+    return land_drone(drone(_set(gear), _set(motor)), chosen, controller_of(chosen, ideal_reversal))
+
+
+@dataclass(frozen=True, repr=False)
+class LandingMaps(Shown):
+    """Maps of every surface under every controller, and the best impulses where they were searched."""
+
+    content: MapFile
+
+    def __repr__(self) -> str:
+        first = self.content.maps[0]
+        cells = f"{len(first.slopes_deg)} × {len(first.speeds)} cells"
+        return f"<LandingMaps: {len(self.content.maps)} maps of {cells}>"
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the share of the landings of every map that end in each class [%]."""
+        import pandas as pd
+
+        rows = [
+            {"surface": chart.surface, "controller": chart.controller}
+            | {f"{o.name.lower()} [%]": 100.0 * float(np.nanmean(chart.share(o))) for o in OUTCOMES}
+            for chart in self.content.maps
+        ]
+        return pd.DataFrame(rows).round(1)
+
+    def plot(self) -> Figure:
+        """Return the maps in the manner of Fig. 8."""
+        return figure_of_file(self.content)
+
+    def plot_impulse(self) -> Figure:
+        """Return delay and duration of the best impulses in the manner of Figs. 9 and 10."""
+        return figure_impulse(self.content.impulses)
+
+    def save(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write the HDF5 file that ``sysid report`` reads, and return its path."""
+        path = path_of(path, "the new file")
+        check_file(path, force=force, error_type=ExportError)
+        write_maps(path, self.content)
+        return path
+
+
+@documented(LandingMapOptions)
+def landing_map(
+    gears: Sets | Sequence[Sets], motor: Sets, *, slopes: Grid = "0:45:1", speeds: Grid = "0:2:0.05",
+    controllers: str | Sequence[str] = ("off", "reverse"), controller_file: str | Path | None = None,
+    trigger: Trigger = "contact", pitch: Quantity = 0.0, horizontal_speed: Quantity = 0.0,
+    pair: Pairing = "best", ideal_reversal: bool = False, check: bool = True, horizon: Quantity = 3.0,
+    short: Quantity = 0.45, long: Quantity = 1.0, rest_speed: Quantity = 0.05, rest_turn: Quantity = 0.2,
+    rest_time: Quantity = 0.2, flip_angle: Quantity = "80 deg", threads: int | None = None,
+) -> LandingMaps:  # fmt: skip
+    """Return what becomes of landings over slope [deg] and touchdown speed [m/s].
+
+    There is one of `gears` per surface. `slopes` and `speeds` are first:last:step or a list, `controllers` as
+    for ``sysid landing-map``. Raises `SysidError` when an input cannot be used.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> gear = "data_samples/published/published-gear-lf.json"
+    >>> motor = "data_samples/published/published-motor.json"
+    >>> sysid.landing_map(gear, motor, slopes="0:30:15", speeds=[0.3, 0.6], check=False)
+    <LandingMaps: 2 maps of 3 × 2 cells>
+    """
+    fleets, origin = _fleets(gears, motor, pair, ideal_reversal)
+    tilted = python_options(TouchdownOptions, {**locals(), "slope": 0.0, "speed": 0.0}).begin
+    settings = python_options(
+        MapSettings, locals(), slopes_deg=_grid(slopes, "slopes"), speeds=_grid(speeds, "speeds"),
+        pitch=tilted.pitch, horizontal_speed=tilted.horizontal_speed,
+    )  # fmt: skip
+    chosen = chosen_controllers(
+        _several(controllers, "controllers"), settings.rules.horizon, file=_file(controller_file),
+        ideal_reversal=ideal_reversal, trigger=trigger,
+    )  # fmt: skip
+    maps = landing_maps(fleets, chosen, settings, Computing(threads=threads))
+    stated = asdict(settings) | {"controllers": [asdict(controller) for controller in chosen]}
+    return LandingMaps(MapFile(maps, (), stated | {"static_limits": limits_of(fleets, chosen)}, origin))
+
+
+@documented(ImpulseMapOptions)
+def impulse_map(
+    gears: Sets | Sequence[Sets], motor: Sets, *, slopes: Grid = "0:45:1", speeds: Grid = "0:2:0.05",
+    delays: Grid = "0:0.26:0.01", durations: Grid = "0:0.16:0.01", front: float = 0.8,
+    rear: float | None = None, idle: float = 0.1, after: float = -1.0, worth: float = 0.05,
+    equal: Quantity = 0.0, pair: Pairing = "best", ideal_reversal: bool = False, check: bool = True,
+    horizon: Quantity = 3.0, short: Quantity = 0.45, long: Quantity = 1.0, rest_speed: Quantity = 0.05,
+    rest_turn: Quantity = 0.2, rest_time: Quantity = 0.2, flip_angle: Quantity = "80 deg",
+    threads: int | None = None,
+) -> LandingMaps:  # fmt: skip
+    """Return the best impulse of every cell, and what becomes of landings with it.
+
+    `delays` and `durations` are tried [s]. Motors of an `ideal_reversal` reverse without delay, and the rear
+    pair then reverses in the impulse (Fig. 11). The rest is as for `landing_map`.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> gear = "data_samples/published/published-gear-lf.json"
+    >>> motor = "data_samples/published/published-motor.json"
+    >>> grid = {"slopes": [10, 20], "speeds": [0.5], "delays": "0:0.2:0.1", "durations": [0, 0.1]}
+    >>> sysid.impulse_map(gear, motor, check=False, **grid)
+    <LandingMaps: 3 maps of 2 × 1 cells>
+    """
+    fleets, origin = _fleets(gears, motor, pair, ideal_reversal)
+    settings = python_options(
+        MapSettings, locals(), slopes_deg=_grid(slopes, "slopes"), speeds=_grid(speeds, "speeds")
+    )
+    impulses = python_options(
+        ImpulseSettings, locals(), delays=_grid(delays, "delays", "s"), ideal_reversal=ideal_reversal,
+        durations=_grid(durations, "durations", "s"),
+    )  # fmt: skip
+    impulses.check_within(settings.rules.horizon)
+    best, maps = impulse_maps(fleets, settings, impulses, Computing(threads=threads))
+    stated = asdict(settings) | {"impulses": asdict(impulses)}
+    stated["static_limits"] = limits_of(fleets, after_impulses(impulses))
+    return LandingMaps(MapFile(maps, best, stated, origin))
+
+
+@dataclass(frozen=True, repr=False)
+class DesignTable(Shown):
+    """Which change of legs, feet or motors buys most."""
+
+    study: DesignStudy
+
+    def __repr__(self) -> str:
+        changes = ", ".join(change.label for change in self.study.changes)
+        return f"<DesignTable of {self.study.name}: {len(self.study.points)} designs, {changes}>"
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return what each change buys at its best value, and costs at its worst, what buys most first."""
+        import pandas as pd
+
+        return pd.DataFrame(self.study.gains()).set_index("change")
+
+    def plot(self) -> Figure:
+        """Return the steepest slope of every design."""
+        return figure_design_study(self.study)
+
+    def save(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write the HDF5 file that ``sysid report`` reads, and return its path."""
+        path = path_of(path, "the new file")
+        check_file(path, force=force, error_type=ExportError)
+        write_study(path, self.study, {})
+        return path
+
+
+@documented(DesignStudyOptions)
+def design_study(
+    gear: Sets, motor: Sets, vary: str, *, controller: str = "reverse",
+    controller_file: str | Path | None = None, slopes: Grid = "0:60:1", speeds: Grid = (0.3, 0.6, 0.9, 1.2),
+    share: float = 0.5, spread: float = 0.0, together: bool = False, pair: Pairing = "best",
+    ideal_reversal: bool = False, horizon: Quantity = 3.0, short: Quantity = 0.45, long: Quantity = 1.0,
+    rest_speed: Quantity = 0.05, rest_turn: Quantity = 0.2, rest_time: Quantity = 0.2,
+    flip_angle: Quantity = "80 deg", threads: int | None = None,
+) -> DesignTable:  # fmt: skip
+    """Vary legs, feet and motors: which change buys most.
+
+    `vary` are factors first:last:count, as in ``k_t=0.5:2:5,dx_f=0.8:1.4:4``; ``reversal_delay=0ms:200ms:5``
+    adds. `spread` lands every set also with its nose this much up and down [deg].
+
+    Examples
+    --------
+    >>> import sysid
+    >>> gear = "data_samples/published/published-gear-lf.json"
+    >>> motor = "data_samples/published/published-motor.json"
+    >>> sysid.design_study(gear, motor, "k_t=0.5:2:3", slopes="0:40:20", speeds=[0.6])
+    <DesignTable of published-gear-lf: 3 designs, k_t ×>
+    """
+    changes = find_changes(vary)
+    (fleet,), _ = _fleets([gear], motor, pair, ideal_reversal)
+    settings = python_options(
+        StudySettings, locals(), slopes_deg=_grid(slopes, "slopes"), speeds=_grid(speeds, "speeds"),
+        spread_deg=float(spread),
+    )  # fmt: skip
+    (chosen,) = chosen_controllers(
+        [controller], settings.rules.horizon, file=_file(controller_file), ideal_reversal=ideal_reversal
+    )
+    name = fleet[0].name.removesuffix(" set 1")
+    study = study_of(name, fleet, changes, chosen, settings, Computing(threads=threads))
+    assert study is not None  # nobody asks it to stop
+    return DesignTable(study)
+
+
+def static_limits(sets: Sets, thrust: float | Sequence[float] = (0.0, 12.0)) -> pd.DataFrame:
+    """Return the steepest slope on which a drone stays, under reverse thrusts [N].
+
+    For every set, with rigid legs and with the legs as fitted.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> table = sysid.static_limits("data_samples/published/published-gear-hf.json", thrust=12)
+    >>> float(table.set_down_deg.iloc[0])
+    39.75
+    """
+    import pandas as pd
+
+    gear = sets_of(sets)
+    thrusts = [float(one) for one in np.atleast_1d(thrust)]
+    return pd.DataFrame(limit_rows(gear, thrusts, gear.name))
+
+
+def _fleets(
+    gears: Sets | Sequence[Sets], motor: Sets, pair: Pairing, ideal_reversal: bool
+) -> tuple[Fleets, dict[str, object]]:
+    """Return the drones of every gear, and where their numbers come from."""
+    loaded, rotor = [sets_of(gear) for gear in _several(gears, "gears")], sets_of(motor)
+    fleets = paired_fleets(loaded, rotor, pair, [sets.name for sets in loaded])
+    origins = {
+        fleet[0].surface: {"name": sets.name, **sets.provenance}
+        for fleet, sets in zip(fleets, loaded, strict=True)
+    }
+    origin = {"pairing": pair, "ideal_reversal": ideal_reversal, "gear": origins}
+    return fleets, origin | {"motor": {"name": rotor.name, **rotor.provenance}}
+
+
+def _several(given: Any, what: str) -> Sequence[Any]:
+    """Return a list; one thing alone is a list of one."""
+    given = given if isinstance(given, list | tuple) else [given]
+    wrong = [one for one in given if isinstance(one, int | float | type(None) | Mapping)]
+    # A set is a mapping.
+    wrong = [one for one in wrong if not isinstance(one, RankedSet)]
+    if not given or wrong:
+        raise CampaignError(f"{what}: expected a list of one or more, found {given!r:.60}").also(TypeError)
+    return given
+
+
+def _grid(given: Grid, name: str, unit: str = "1") -> tuple[float, ...]:
+    """Return increasing numbers: of a text such as ``0:45:1``, or as they are."""
+    if isinstance(given, list | tuple | np.ndarray):
+        given = ",".join(repr(float(one)) for one in given)
+    return span(given, name, unit)  # type: ignore[arg-type]
+
+
+def _file(given: str | Path | None) -> Path | None:
+    return None if given is None else path_of(given, "a Python file with controllers")
