@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -109,25 +108,6 @@ class Window(TomlTable):
     max_gap: PositiveTime = 0.05
 
 
-_LARGEST_OFFSET = 0.020
-
-
-def _small(value: float, thousandth: str) -> float:
-    if value > _LARGEST_OFFSET:
-        raise ValueError(
-            f"{1e3 * value:g} {thousandth} is more than {1e3 * _LARGEST_OFFSET:g} {thousandth}, no "
-            "error of a measurement any more; correct the surface's place or the trial's start instead"
-        )
-    return value
-
-
-class Nuisance(TomlTable):
-    """`[nuisance]`: offsets of each fitted drop that the search may choose, up to these; none by default."""
-
-    height: Annotated[PositiveLength, AfterValidator(partial(_small, thousandth="mm"))] | None = None
-    start_time: Annotated[PositiveTime, AfterValidator(partial(_small, thousandth="ms"))] | None = None
-
-
 class KaiserFilter(TomlTable):
     """`[filter]`: the low-pass that both the recording and the simulation pass through."""
 
@@ -164,7 +144,7 @@ class GearTrial(TrialTable):
     """One drop: its log, the slope, and overrides where a drop differs from the campaign."""
 
     slope: Slope | None = None
-    release: Time | None = None
+    release: Annotated[float, Measured("s")] | None = None
     touchdown: Time | None = None
     rigid_body: str | None = None
     log_options: CaptureLogOptions = CaptureLogOptions()
@@ -180,7 +160,6 @@ class GearCampaign(CampaignTable):
     capture: Capture = Capture()
     surface: SurfaceTable = SurfaceTable()
     window: Window = Window()
-    nuisance: Nuisance = Nuisance()
     filter: KaiserFilter = KaiserFilter()
     cost: GearCost = GearCost()
     fit: GearFitTable = GearFitTable()

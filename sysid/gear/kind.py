@@ -215,7 +215,7 @@ GEAR = Kind(
         trials="drops",
         single="level drop on this surface",
         misleads="a bounce near a bifurcation",
-        remedy="free its start ([nuisance] start_time, height)",
+        remedy="state its release or its point with an error",
         unlike="a start near a bifurcation of the bounces, or a misread slope, surface or log",
     ),
 )

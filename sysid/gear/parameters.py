@@ -11,7 +11,9 @@ from sysid.parameters import Parameter, ParameterTable
 _MEASURED = "Table II, measured"
 _LF = "Table II, low friction, mean of five fits; bounds guessed"
 # Numbers of the capture that a fit may move (`sysid.gear.stated`), without the drop.
-CAPTURED = ("slope", "centre_of_mass_dx", "centre_of_mass_dz", "surface_dx", "surface_dz")
+CAPTURED = (
+    "slope", "release_delay", "centre_of_mass_dx", "centre_of_mass_dz", "surface_dx", "surface_dz",
+)  # fmt: skip
 
 
 # fmt: off

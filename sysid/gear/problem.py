@@ -40,11 +40,7 @@ from sysid.gear.starts import (
     compared_noise,
     level_error,
     noise_signals,
-    offsets,
-    shifted_before,
-    shifted_starts,
     start_roots,
-    with_nuisance,
 )
 from sysid.gear.stated import Moved, with_stated
 from sysid.journal import Finding
@@ -100,7 +96,7 @@ def gear_space(campaign: GearCampaign) -> SearchSpace:
                 f"parameters.free: nothing in a drop on surface.law {law!r} depends on {name}; remove it "
                 "from the list"
             )
-    return with_stated(with_nuisance(space, campaign), campaign)
+    return with_stated(space, campaign)
 
 
 def read_by_laws() -> set[str]:
@@ -264,13 +260,10 @@ class GearProblem(Problem):
         `body_states` (P, D, 6) are starts of each candidate, instead of the measured ones.
         """
         prepare_kernel(self.campaign.surface.law)
-        shift = offsets(self.space.table, rows, self.drops)
-        if body_states is None and shift is not None:
-            body_states = shifted_starts(self.drops, *shift)
         moved, slopes = Moved.of(self.space.table, rows, self.drops), None
         if moved is not None:
             if body_states is None:
-                body_states = np.repeat(self.jobs.body_state[None], len(rows), axis=0)
+                body_states = moved.released(self.drops)
             body_states, slopes = moved.starts(body_states), moved.slopes
         result = simulate_population(
             rows[:, : len(PARAMETERS)], self.jobs, body_states=body_states, slopes=slopes, **self.simulation
@@ -279,14 +272,12 @@ class GearProblem(Problem):
         samples = np.empty((len(rows), self.cost.n_total, 6))
         for d, drop in enumerate(self.drops):
             lead = len(drop.before)
-            before = drop.before if shift is None else shifted_before(drop, shift[1][:, d])
+            before = drop.before if moved is None else moved.before(drop, d)
             samples[:, first[d] : first[d] + lead, :3] = before
             samples[:, first[d] : first[d] + lead, 3:] = np.nan
             samples[:, first[d] + lead : first[d + 1]] = result.samples[:, ends[d] : ends[d + 1]]
             if moved is not None:
                 moved.as_captured(samples[:, first[d] + lead : first[d + 1]], d)
-            if shift is not None:
-                samples[:, first[d] + lead : first[d + 1], 1] += shift[0][:, d, None]
         return samples, result
 
     @property
@@ -316,10 +307,8 @@ class GearProblem(Problem):
     def disturbances_at(self, row: FloatArray) -> FloatArray:
         """Return how one standard deviation of every drop's start moves the residuals (K, m) [1]."""
         rows = row[None]
-        shift = offsets(self.space.table, rows, self.drops)
-        nominal = np.array([[drop.initial_state for drop in self.drops]])
-        if shift is not None:
-            nominal = shifted_starts(self.drops, *shift)
+        moved = Moved.of(self.space.table, rows, self.drops)
+        nominal = self.jobs.body_state[None] if moved is None else moved.released(self.drops)
         roots = [start_roots(drop) for drop in self.drops]
         kinds = len(roots[0])
         states = np.repeat(nominal, 2 * kinds, axis=0)

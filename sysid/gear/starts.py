@@ -1,36 +1,17 @@
-"""Errors of a drop's start: the capture's noise, and the offsets that a campaign frees.
-
-A campaign may free the height of the surface and the instant of the start, one number per fitted drop and
-kind, appended to the search: 1 mm of height is 1.4 ms of touchdown at 0.7 m/s, which no stiffness explains. A
-validation drop has no offsets.
-"""
+"""Errors of a drop's start, and of what is compared, by the capture's noise."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 import numpy as np
 
-from sysid.campaign import GearCampaign
 from sysid.filters import differentiate
 from sysid.gear.drops import PreparedDrop, as_compared
-from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.types import FloatArray
 
 # Number of samples of noise that pass the filter to show what becomes of noise.
 _NOISE_SAMPLES = 20_000
 # Longest time before the release over which the hanging body's poses enter the fit of the fall [s].
 _HOLD = 2.0
-
-_HEIGHT = Parameter(
-    "height_offset", "δz", "m", 0.0, -1.0, 1.0, "linear",
-    "Height of the surface above its stated place", "campaign, [nuisance]", "nuisance",
-)  # fmt: skip
-_START = Parameter(
-    "start_offset", "δt", "s", 0.0, -1.0, 1.0, "linear",
-    "Delay of the motion behind its stated start", "campaign, [nuisance]", "nuisance",
-)  # fmt: skip
 
 
 def start_roots(drop: PreparedDrop) -> FloatArray:
@@ -89,52 +70,3 @@ def noise_signals(drop: PreparedDrop) -> FloatArray:
     if taps is not None:
         white = np.column_stack([np.convolve(white[:, c], taps, "valid") for c in range(3)])
     return as_compared(white, differentiate(white, drop.target.rate))[1:-1]
-
-
-def with_nuisance(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
-    """Append the free offsets that a campaign asks for, one per fitted drop and kind."""
-    bounds = ((_HEIGHT, campaign.nuisance.height), (_START, campaign.nuisance.start_time))
-    rows = [
-        replace(
-            kind.of_trial(trial.name), lower=-bound, upper=bound, meaning=f"{kind.meaning}, {trial.name}."
-        )
-        for trial in campaign.trials
-        if trial.use == "fit"
-        for kind, bound in bounds
-        if bound is not None
-    ]
-    if not rows:
-        return space
-    return SearchSpace(ParameterTable([*space.table.values(), *rows]), (*space.free, *rows), space.fixed)
-
-
-def offsets(
-    table: ParameterTable, rows: FloatArray, drops: Sequence[PreparedDrop]
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return heights [m] and delays [s] (P, D) of rows of a table (P, n); None where it has none."""
-    index = {(row.common_name, row.trial): i for i, row in enumerate(table.values()) if row.trial}
-    if not index or rows.shape[1] <= min(index.values()):
-        return None
-    out = np.zeros((2, len(rows), len(drops)))
-    for k, kind in enumerate((_HEIGHT, _START)):
-        for d, drop in enumerate(drops):
-            column = index.get((kind.name, drop.name))
-            if column is not None:
-                out[k, :, d] = rows[:, column]
-    return out[0], out[1]
-
-
-def shifted_starts(drops: Sequence[PreparedDrop], height: FloatArray, delay: FloatArray) -> FloatArray:
-    """Return initial states (P, D, 6) [SI], the surface higher (P, D) [m], the fall later (P, D) [s]."""
-    out = np.empty((*height.shape, 6))
-    for d, drop in enumerate(drops):
-        out[:, d] = drop.flight.at(drop.time[0] - delay[:, d], free=True)
-        out[:, d, 1] -= height[:, d]
-    return out
-
-
-def shifted_before(drop: PreparedDrop, delay: FloatArray) -> FloatArray:
-    """Return x, z, pitch (P, margin, 3) [m, rad] at the samples before the window, `delay` (P,) [s] later."""
-    lead = len(drop.before)
-    time = drop.time[0] - np.arange(lead, 0, -1) / drop.motion.rate
-    return drop.flight.at((time - delay[:, None]).ravel())[:, :3].reshape(len(delay), lead, 3)

@@ -1,9 +1,9 @@
 """What a lab measures around a drop: values that its campaign states with an error, and which a fit moves.
 
-Besides masses, lengths and friction, which are rows of the model's table, these are the slope of each drop,
-the body's centre of mass and the place of the surface. The log is prepared once, with the values as stated. A
-candidate with other values is simulated from where they put the body at the start, and its signals are
-brought back to where the capture would have seen them.
+Besides masses, lengths and friction, which are rows of the model's table, these are slope and release of each
+drop, the body's centre of mass and the place of the surface. The log is prepared once, with the values as
+stated. A candidate with other values is simulated from where they put the body at the start, and its signals
+are brought back to where the capture would have seen them.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ def _captured(name: str, symbol: str, unit: str, meaning: str) -> Parameter:
 
 
 SLOPE = _captured("slope", "α", "rad", "Angle of the surface.")
+RELEASE = _captured("release_delay", "δt", "s", "Delay of the release behind its stated instant.")
 CENTRE = (
     _captured("centre_of_mass_dx", "δx_c", "m", "Centre of mass in front of its stated place, down-slope."),
     _captured("centre_of_mass_dz", "δz_c", "m", "Centre of mass above its stated place."),
@@ -61,7 +62,7 @@ def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
 
 
 def _of_the_capture(campaign: GearCampaign) -> Iterator[tuple[Parameter, Stated]]:
-    """Yield the rows of slopes, centre of mass and surface, and what is stated of each [SI]."""
+    """Yield the rows of slopes, releases, centre of mass and surface, and what is stated of each [SI]."""
     fitted = [trial for trial in campaign.trials if trial.use == "fit"]
     for trial in fitted:
         if trial.slope is not None:
@@ -69,6 +70,8 @@ def _of_the_capture(campaign: GearCampaign) -> Iterator[tuple[Parameter, Stated]
                 replace(SLOPE.of_trial(trial.name), nominal=float(trial.slope)),
                 _with_error(trial.slope, of=trial.slope),
             )
+        if trial.release is not None:
+            yield RELEASE.of_trial(trial.name), _with_error(0.0, of=trial.release)
     directions = {trial.down_slope or campaign.capture.down_slope for trial in fitted}
     # Bodies that were turned between the drops show their centre of mass along other axes.
     if len(directions) == 1:
@@ -99,6 +102,8 @@ class Moved:
 
     # (P, D) [rad].
     slopes: FloatArray
+    # (P, D) from the stated releases, NaN where none has an error [s].
+    delays: FloatArray
     # (P, 2) centre of mass from its stated place, in the body's axes x and z [m].
     centre: FloatArray
     # (P, D, 2) surface's point from its stated place, x and z [m].
@@ -129,9 +134,27 @@ class Moved:
         surface = [[column(f"{row.name}[{drop}]", common[row.name]) for row in SURFACE] for drop in slopes]
         return cls(
             np.stack([column(f"slope[{drop}]", slope) for drop, slope in slopes.items()], axis=1),
+            np.stack([column(f"{RELEASE.name}[{drop}]", np.nan) for drop in slopes], axis=1),
             np.stack([common[row.name] for row in CENTRE], axis=1),
             np.moveaxis(np.array(surface), 2, 0),
         )
+
+    def released(self, drops: Sequence[PreparedDrop]) -> FloatArray:
+        """Return the captured states (P, D, 6) [SI] at the first samples, the falls as late as here."""
+        out = np.repeat(np.array([[drop.initial_state for drop in drops]]), len(self.delays), axis=0)
+        for d, drop in enumerate(drops):
+            if np.isfinite(self.delays[:, d]).all():
+                out[:, d] = drop.flight.at(drop.time[0] - self.delays[:, d], free=True)
+        return out
+
+    def before(self, drop: PreparedDrop, d: int) -> FloatArray:
+        """Return x, z, pitch [m, rad] at the samples before the window of drop d, (n, 3) or (P, n, 3)."""
+        lead, delay = len(drop.before), self.delays[:, d]
+        if not np.isfinite(delay).all():
+            return drop.before
+        time = drop.time[0] - np.arange(lead, 0, -1) / drop.motion.rate
+        states = drop.flight.at((time - delay[:, None]).ravel())
+        return np.asarray(states[:, :3].reshape(len(delay), lead, 3))
 
     def _turned(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the shift of the centre of mass along x and z at pitches (P, ...) [rad]."""

@@ -13,7 +13,7 @@ from sysid.gear.model import PARAMETERS, EventKind, simulate
 from sysid.gear.out_of_plane import tell_limits
 from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
 from sysid.gear.problem import ONE_TOUCHDOWN, GearProblem
-from sysid.gear.stated import CENTRE, SURFACE
+from sysid.gear.stated import CENTRE, RELEASE, SURFACE
 from sysid.trials.look import inspect_recording, log_quality
 from sysid.types import FloatArray
 
@@ -24,7 +24,8 @@ class GearStory(Story[GearProblem]):
     @property
     def keys(self) -> Mapping[str, str]:
         """Offsets and places by the key that states them."""
-        return {row.name: "centre_of_mass_offset" for row in CENTRE} | {row.name: "point" for row in SURFACE}
+        places = dict.fromkeys((row.name for row in SURFACE), "point")
+        return {RELEASE.name: "release", **places} | {row.name: "centre_of_mass_offset" for row in CENTRE}
 
     @property
     def accuracy(self) -> Mapping[str, object]:

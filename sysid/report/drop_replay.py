@@ -102,15 +102,13 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
             f"{fit.name}, {trial.name}: the fit lacks the state in which the drop starts; fit again"
         )
     values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[0]), strict=True))
-    # Offsets of height and time that a fit may have found for the drop shift its start.
-    height = values.get(f"height_offset[{trial.name}]", 0.0)
-    delay = values.get(f"start_offset[{trial.name}]", 0.0)
     start = np.array(log[START], dtype=np.float64)
-    start[:3] -= start[3:] * delay
-    start[1] -= 0.5 * values["gravity"] * delay**2 + height
-    start[4] += values["gravity"] * delay
-    # So do a centre of mass and a surface that were fitted within the errors of their places.
+    # Release, centre of mass and surface were fitted within the errors that are stated of them.
     fitted = Moved.in_set(values, trial.name, float(np.radians(log["slope_deg"])))
+    delay = float(np.nan_to_num(fitted.delays[0, 0]))
+    start[:3] -= start[3:] * delay
+    start[1] -= 0.5 * values["gravity"] * delay**2
+    start[4] += values["gravity"] * delay
     start, slope = fitted.starts(start[None, None])[0, 0], float(fitted.slopes[0, 0])
     frames = trial.time - trial.time[0]
     time = np.arange(0.0, frames[-1] + 0.5 / RATE, 1.0 / RATE)
@@ -124,13 +122,12 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     feet = foot_points(run.state, values)
     body = np.array(run.state[None, :, [0, 1, 2, 7, 8, 9]])
     fitted.as_captured(body, 0)
-    lift = fitted.surface[0, 0] + np.array([0.0, height])
     # Feet are smooth in the coordinates: a difference over 0.1 us leaves an error of some 1e-7 m/s.
     instant = 1e-7
     moved = foot_points(run.state[:, :7] + instant * run.state[:, 7:], values)
     return DropReplay(
-        trial.name, trial.use, slope, time, body=body[0, :, :3] + [0.0, height, 0.0],
-        feet=feet + lift, normal_force=run.normal_force, friction_force=run.friction_force,
+        trial.name, trial.use, slope, time, body=body[0, :, :3],
+        feet=feet + fitted.surface[0, 0], normal_force=run.normal_force, friction_force=run.friction_force,
         measured=measured, contacts=_contacts(time, run.normal_force), values=values,
         slip_speed=np.asarray((moved - feet) @ directions(slope)[0] / instant),
     )  # fmt: skip

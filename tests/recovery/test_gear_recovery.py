@@ -71,10 +71,10 @@ def up_to_third_contact(drops, truth, surface):
 
 @pytest.fixture(scope="module", params=["lf", "hf"])
 def fitted(request, tmp_path_factory):
-    """Five runs as by default: surface, opened campaign, result."""
+    """Five runs as by default, of a campaign that states the truth: surface, opened campaign, result."""
     surface = request.param
     folder = synthesize_gear(tmp_path_factory.mktemp("fit") / surface, seed=1, surface=surface)
-    options = FitOptions(out=folder / "result", quiet=True, trust=False)
+    options = FitOptions(out=folder / "result", quiet=True, trust=False, exact=True)
     result, _ = fit_gear(folder / "campaign.toml", options)
     return surface, opened(folder), result
 
