@@ -53,10 +53,12 @@ class ClockOffset:
         return self.correlation >= _WEAK and self.confidence >= enough
 
     def sentence(self) -> str:
-        """Return the offset and its confidence in words."""
+        """Return the offset and how clear it is, in words."""
+        next_best = self.correlation * (1.0 - self.confidence)
         return (
-            f"{self.other} is aligned with {self.reference}: offset {self.offset:+.5g} s, correlation "
-            f"{self.correlation:.2f}, confidence {self.confidence:.2f}"
+            f"offset {self.offset:+.5g} s is {'clear' if self.sure else 'not clear'}: the changes of "
+            f"{self.reference} and {self.other} correlate by {self.correlation:.2f} there and by "
+            f"{next_best:.2f} at the next best offset"
         )
 
 
@@ -144,8 +146,7 @@ def join_recordings(first: Recording, second: Recording, by: str) -> tuple[Recor
     offset = find_offset(path, first[name], second[other or name], sign=not other)
     if not offset.sure:
         raise LogError(
-            f"{path}: cannot be aligned with {first.provenance.path} by {by}: correlation "
-            f"{offset.correlation:.2f}, confidence {offset.confidence:.2f} at {offset.offset:+.4g} s; choose "
+            f"{path}: cannot be aligned with {first.provenance.path} by {by}: {offset.sentence()}; choose "
             "another channel or record a common event"
         )
     channels = dict(first.channels)

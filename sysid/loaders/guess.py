@@ -35,7 +35,7 @@ _WORDS = {
     "thrust": ("thrust", "force", "lift", "load", "weight", "fz", "schub", "kraft"),
     "voltage": ("volt", "vbat", "battery", "spannung"),
     "current": ("current", "amp", "ibat", "strom"),
-    "command": ("command", "throttle", "pwm", "duty", "cmd", "esc", "signal"),
+    "command": ("command", "throttle", "pwm", "duty", "cmd", "esc", "signal", "gas"),
 }
 # Units by the SI unit of a channel, each with its largest plausible value; a time is judged by its step.
 _UNITS: dict[str, tuple[tuple[float, str], ...]] = {
@@ -179,7 +179,8 @@ def _guess(
         out[name] = expected
         if column is not None and expected in _UNITS:
             size = column.step if expected == "s" else max(abs(column.lowest), abs(column.highest))
-            out[name] = _unit(expected, size)
+            counted = expected == "rad/s" and re.search("rpm|drehzahl", column.name, re.IGNORECASE)
+            out[name] = "rpm" if counted else _unit(expected, size)
     return out
 
 

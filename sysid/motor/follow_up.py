@@ -23,7 +23,7 @@ from sysid.motor.dead_band import (
     saturation_space,
 )
 from sysid.motor.inertia import spike_inertia
-from sysid.motor.known_values import CONSTANTS, SATURATION, Bench, untested_rows
+from sysid.motor.known_values import CONSTANTS, NO_INDUCTANCE, SATURATION, Bench, untested_rows
 from sysid.motor.log_delays import MEAN_SOURCE, averaged, delay_name, log_rows
 from sysid.motor.model import PARAMETERS, invariants, unpack
 from sysid.motor.problem import FIT_TOLERANCE, MotorProblem
@@ -133,6 +133,8 @@ def begin_fit(problem: MotorProblem) -> None:
             "no log without propeller: the no-load speed is computed from loaded points and R, and k_d, "
             f"which then cannot be told from k²/R, stays at {space.fixed['viscous_damping']:.2g} N·m·s/rad"
         )
+    if "winding_inductance" in bench.guessed & {*space.fixed}:
+        tell(NO_INDUCTANCE)
     if untested_rows(campaign, bench):
         tell("nothing was recorded in reverse: its curves and no-load speed are left out of the sets (NaN)")
 
@@ -194,7 +196,7 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     rise = best["winding_inductance"] / best["winding_resistance"]
     # A rise within one step of the finest grid that any fitted log is compared on leaves no sample inside it.
     finest = min(float(np.median(np.diff(trial.target.time))) for trial in bench.fitted)
-    if rise <= finest:
+    if "winding_inductance" in space.names and rise <= finest:
         notice(
             "inductance-unresolved",
             f"L/R of the best set is {1e3 * rise:.3g} ms, but the fastest fitted log has a row every "
@@ -316,7 +318,7 @@ def _about_saturation(
         f"dead band from {parts} of {trials}: I_sat {best['saturation_current']:.3g} A below "
         f"{best['saturation_speed']:.3g} rad/s; NRMSE there {100 * band.without[0]:.2f} % without, "
         f"{100 * band.nrmse[0]:.2f} % with it"
-        + "; the NRMSE of the sets counts the starts, that of the search did not"
+        + "; the search left the starts out of its NRMSE, the NRMSE of the sets includes them"
         * ("starts" in parts)
     )
     if not band.felt:

@@ -40,6 +40,10 @@ SATURATION = ("saturation_current", "saturation_speed")
 CONSTANTS = ("back_emf_constant", "torque_constant")
 # Key of the campaign by the parameter that it states, where their names differ.
 KEYS = MappingProxyType({"back_emf_constant": "kv"})
+NO_INDUCTANCE = (
+    "L is not fitted: the winding settles between two rows of such logs, so the fit takes the smallest L of "
+    "the model; record torque and speed at 1 kHz or more to determine R and L"
+)
 # Largest relative error of a rating that agrees with the logged current [1].
 _SCALE_AGREES = 0.1
 
@@ -133,12 +137,14 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     if slow and campaign.motor.kv is not None and curves.ties:
         power = lost_power(points, values["torque_constant"])
     if power is not None and power.resistance > 0:
-        # The winding settles between two rows of a slow log, so only the lost power shows R.
+        # The winding settles between two rows of a slow log: the lost power shows R, and nothing shows L.
         values["winding_resistance"] = power.resistance
         measured["winding_resistance"] = (
             f"lost power of {len(power.speeds)} steady levels under the rating's Kv, 95 % from "
             f"{power.interval_95[0]:.3g} to {power.interval_95[1]:.3g} Ω"
         )
+        values["winding_inductance"] = PARAMETERS["winding_inductance"].lower
+        stated["winding_inductance"] = "guess: the winding settles between two rows of a slow log"
     chosen, rated = campaign.parameters, campaign.motor.kv is not None or current is not None
     # One constant alone says nothing where the other is a guess.
     scale_known = rated or all(name in chosen.fixed for name in CONSTANTS)
@@ -148,9 +154,9 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
         prepare_run(campaign, entry, log, curves) for entry, log in zip(campaign.trials, logs, strict=True)
     )
     _notice_extrapolation(trials, curves)
-    guesses = {"reference_voltage"} if guessed else set()
-    if not rated:
-        guesses |= {*CONSTANTS} & {*stated}
+    guesses = {"winding_inductance"} | ({"reference_voltage"} if guessed else set())
+    guesses |= set() if rated else {*CONSTANTS}
+    guesses &= {*stated}
     return Bench(trials, curves, values, measured, stated, scale_known, frozenset(guesses))
 
 
@@ -300,7 +306,7 @@ def _check_choice(chosen: tuple[str, ...], given: Collection[str], scale_known: 
 def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     """Return what the dynamic fit frees: the campaign's, or R, L and k_d, and what else its logs need.
 
-    R is not free where slow logs give it by the power that their steady levels lose.
+    R and L are not free where slow logs give R by the power that their steady levels lose.
     The rotor's inertia is free where it was not measured; the command delay always, one per log where there
     are several, and the torque sensor's delay and lag where a trial is a slow log, unless the campaign fixes
     them. k_d is free by default only where a log without propeller gives Ω_0: with Ω_0 from loaded points,
@@ -322,7 +328,7 @@ def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
                     trial=trial.entry.name,
                 )
     without = {"viscous_damping"} if bench.curves.ties else set()
-    default = [name for name in FREE_DEFAULT if name not in without | {*bench.measured}]
+    default = [name for name in FREE_DEFAULT if name not in without | {*bench.measured, *bench.stated}]
     needed = ["command_delay"]
     if any(not trial.log.fast for trial in bench.fitted):
         needed += ["torque_sensor_delay", "torque_sensor_lag"]

@@ -11,7 +11,7 @@ from sysid.fit.story import Story
 from sysid.motor.cost import CHANNELS
 from sysid.motor.curves import supply_ratio
 from sysid.motor.inertia import spikes
-from sysid.motor.known_values import CONSTANTS, KEYS, Bench
+from sysid.motor.known_values import CONSTANTS, KEYS, NO_INDUCTANCE, Bench
 from sysid.motor.model import PARAMETERS, unpack
 from sysid.motor.problem import MotorProblem
 from sysid.motor.static_curves import turns
@@ -91,6 +91,8 @@ class MotorStory(Story[MotorProblem]):
     def advice(self, weak: Collection[str]) -> list[str]:
         """Return what to record next for the parameters that bench trials do not determine well."""
         out = [sentence for name, sentence in _ADVICE.items() if name in weak]
+        if "winding_inductance" in self.problem.bench.guessed & {*self.problem.space.fixed}:
+            out.append(NO_INDUCTANCE)
         if not any(trial.entry.direction == "reversal" for trial in self.problem.prepared):
             out.append("no reversal was recorded: nothing shows I_sat and Ω_min, which decide its delay")
         return out

@@ -79,6 +79,13 @@ def still(i):
                      "command": "PWM"},
          "units": {"time": "s", "speed": "rpm", "thrust": "N", "torque": "N*m", "command": "us"}},
     ),
+    (  # A slow motor, whose speed could as well be in rad/s.
+        lines("time,esc,thrust,rpm", lambda i: i / 50, lambda i: 1000 + i, lambda i: i / 50,
+              lambda i: 5 * i),
+        "load-cell-csv",
+        {"columns": {"time": "time", "speed": "rpm", "thrust": "thrust", "command": "esc"},
+         "units": {"time": "s", "speed": "rpm", "thrust": "N", "command": "us"}},
+    ),
     (  # Columns that the format of the content passes over.
         lines("timestamp,omega,load_cell_1,moment", lambda i: i / 50, lambda i: 6 * i, lambda i: i / 50,
               lambda i: i / 5000),
@@ -86,7 +93,7 @@ def still(i):
         {"columns": {"time": "timestamp", "speed": "omega", "torque": "moment", "thrust": "load_cell_1"},
          "units": {"time": "s", "speed": "rad/s", "thrust": "N", "torque": "N*m"}},
     ),
-], ids=["names of a lab", "poses", "stand", "poses of other names", "language", "passed over"])  # fmt: skip
+], ids=["names of a lab", "poses", "stand", "other poses", "language", "slow", "passed over"])  # fmt: skip
 def test_one_command_has_all_that_a_log_lacks(write, capsys, content, form, options):
     path = write(content)
     text, words = told(path, capsys)

@@ -1,5 +1,6 @@
 """What a stand's steady levels and steps give: map of the supply law, lost power, time constants."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -151,3 +152,47 @@ def test_an_error_of_the_tare_widens_the_curve() -> None:
     # An offset of 0.1 N of every point is at most about that much anywhere between them.
     assert 0.05 < loose.at(1500.0)[1] < 0.2
     assert exact.at(1500.0)[1] < 0.01
+
+
+def test_a_stand_of_100_hz_frees_no_inductance(write, run) -> None:
+    time, k, resistance = np.arange(0.0, 24.0, 0.01), 30.0 / (np.pi * 1900.0), 0.125
+    command = np.array([0, 400, 700, 900, 1100, 1300, 1000, 800, 1200, 900, 600, 0.0])[
+        (time // 2).astype(int)
+    ]
+    speed = np.zeros(time.size)
+    for i in range(1, time.size):
+        speed[i] = speed[i - 1] + 0.25 * (command[i - 1] - speed[i - 1])
+    torque = 5.9e-8 * speed**2
+    watts = torque * speed + resistance * (torque / k) ** 2
+    columns = [time, command / 1500.0, torque, 78.0 * torque, np.full(time.size, 16.0), watts / 16.0, speed]
+    noisy = np.column_stack(columns)
+    noisy[:, 2:] += np.random.default_rng(1).normal(0.0, 1e-3, (time.size, 5)) * np.ptp(noisy[:, 2:], axis=0)
+    header = "time [s],command [1],torque [N·m],thrust [N],voltage [V],current [A],speed [rad/s]\n"
+    rows = "\n".join(",".join(f"{value:.7g}" for value in row) for row in noisy)
+    log = write(header + rows + "\n", "log.csv")
+    text = f"""
+kind = "motor"
+name = "stand"
+trials = [{{ name = "steps", log = '{log}', direction = "forward" }}]
+[motor]
+kv = "1900 rpm/V"
+rotor_inertia = "1.2e-5 kg·m²"
+[log]
+current = "supply"
+[command]
+unit = "1"
+minimum = 0
+maximum = 1
+"""
+    code, out, err = run("check", write(text, "stand.toml"), "--json")
+    assert code == 0, err
+    document = json.loads(out)
+    # A winding of 10 to 100 µH settles within 1 ms.
+    assert [row["name"] for row in document["parameters"]] == [
+        "command_delay", "torque_sensor_delay", "torque_sensor_lag",
+    ]  # fmt: skip
+    assert any(said.startswith("L is not fitted: the winding settles") for said in document["sentences"])
+    # A campaign may free L all the same.
+    text += '[parameters]\nfree = ["winding_inductance"]\n'
+    _, out, _ = run("check", write(text, "stand.toml"), "--json")
+    assert json.loads(out)["parameters"][0]["name"] == "winding_inductance"
