@@ -14,9 +14,10 @@ import numpy as np
 from jinja2 import Environment, PackageLoader
 
 from sysid.campaign.logs import load_stated
-from sysid.errors import CampaignError
+from sysid.errors import CampaignError, SysidError
 from sysid.loaders import formats
 from sysid.loaders.options import DECLARED
+from sysid.recording import Recording
 from sysid.storage import check_file, write_file
 from sysid.trials.look import LogReport, inspect_recording
 from sysid.workflows.inspect import toml_value
@@ -67,10 +68,17 @@ def write_new_campaign(
     if minimal or logs:
         environment = Environment(loader=PackageLoader("sysid", "templates"), autoescape=False)
         reports: list[LogReport] = []
+        ways: list[str] = []
         supply = np.zeros(0)
         kinds, wanted = _RECORDED[kind]
         for log in logs:
-            recording = load_stated(log, form, options, {})
+            try:
+                recording = load_stated(log, form, options, {})
+            except SysidError as error:
+                if not error.needs:
+                    raise
+                hint = f"sysid inspect {log} shows all that is missing"
+                raise type(error)(f"{error}; {hint}") from error
             report = inspect_recording(recording)
             if report.kind not in kinds:
                 beside = (
@@ -81,6 +89,7 @@ def write_new_campaign(
                     f"{log}: {found}; a {kind} campaign needs {wanted}, so leave this log out{beside}"
                 )
             reports.append(report)
+            ways.append(_one_way(recording))
             if report.kind != "static-map" and (volts := recording.channels.get("voltage")) is not None:
                 supply = np.append(supply, volts.values[volts.valid])
         taken = {option for report in reports for option in formats()[report.format].options}
@@ -91,7 +100,7 @@ def write_new_campaign(
         body = options.pop("rigid_body", None)
         stated = ({} if form == "auto" else {"format": form}) | options
         lines = [f"{name} = {toml_value(_with_unit(name, value))}" for name, value in stated.items()]
-        content = _content(kind, path, reports) | {"options": lines}
+        content = _content(kind, path, reports, ways) | {"options": lines}
         content["body"] = body or content["body"]
         # A fit takes the same median where a campaign does not state the supply.
         if supply.size and (middle := float(np.median(supply))) > 0:
@@ -103,8 +112,8 @@ def write_new_campaign(
     return path
 
 
-def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, object]:
-    """Return what the template of a kind is filled with."""
+def _content(kind: str, path: Path, reports: Sequence[LogReport], ways: Sequence[str]) -> dict[str, object]:
+    """Return what the template of a kind is filled with; `ways` of the reports are those of `_one_way`."""
     drops = [report.drop for report in reports if report.drop is not None]
     most = max((_span(report, "thrust") for report in reports), default=0.0)
     units = {channel.unit for report in reports for channel in report.channels if channel.name == "command"}
@@ -115,9 +124,9 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
         if report.kind == "static-map" and channel.name == "voltage" and math.isfinite(channel.highest)
     ]
     # Only a log that begins at the middle says that the motor turns both ways; a share has a sign.
-    both = any(_one_way(report) for report in reports) or units == {"1"}
+    both = any(ways) or units == {"1"}
     logs = []
-    for report in reports:
+    for report, way in zip(reports, ways, strict=True):
         slope = report.drop.slope if report.drop else None
         curve = "no_load" if _span(report, "thrust") < _NO_THRUST * most else "static"
         source = Path(report.path)
@@ -125,7 +134,7 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport]) -> dict[str, o
             "name": source.stem,
             "file": Path(os.path.relpath(source, path.parent)).as_posix(),
             "slope": f"{_TODO if slope is None else f'{math.degrees(slope):.1f}'} ± 0.2 deg",
-            "direction": _one_way(report) or ("reversal" if both else "forward"),
+            "direction": way or ("reversal" if both else "forward"),
             "points": curve if report.kind == "static-map" else "",
         })  # fmt: skip
     numbers: dict[str, object] = dict.fromkeys(_RANGES["us"], f'"{_TODO}"')
@@ -152,16 +161,21 @@ def _with_unit(name: str, value: object) -> object:
     return f"{value} {unit}" if unit and not isinstance(value, str) else value
 
 
-def _one_way(report: LogReport) -> str:
+def _one_way(recording: Recording) -> str:
     """Return which way a motor turns whose command stays on one side of the middle; else an empty text."""
-    for channel in report.channels:
-        if channel.name == "command" and channel.unit in _RANGES:
-            rest, full = _RANGES[channel.unit]["neutral"], _RANGES[channel.unit]["maximum"]
-            near = _NEAR_REST * (full - rest)
-            return "forward" if channel.lowest > rest - near else (
-                "reverse" if channel.highest < rest + near else ""
-            )  # fmt: skip
-    return ""
+    command = recording.channels.get("command")
+    if command is None or command.unit not in _RANGES or not command.valid.any():
+        return ""
+    levels, (_, rest, full) = command.values[command.valid], _RANGES[command.unit].values()
+    near = _NEAR_REST * (full - rest)
+    if levels.min() > rest - near or levels.max() >= rest + near:
+        return "forward" if levels.min() > rest - near else ""
+    # A rotor of one direction at half throttle turns faster under higher commands.
+    speed = recording.channels.get("speed")
+    if speed is None or not speed.valid.any():
+        return "reverse"
+    size = np.abs(np.interp(command.time[command.valid], speed.time[speed.valid], speed.values[speed.valid]))
+    return "" if np.cov(levels, size)[0, 1] > 0 else "reverse"
 
 
 def _span(report: LogReport, name: str) -> float:

@@ -204,6 +204,20 @@ def test_shares_of_full_command_are_a_unit_of_campaigns(tmp_path, run, levels, d
     np.testing.assert_array_equal(u, levels)
 
 
+@pytest.mark.parametrize(("turns", "direction"), [(+1, "forward"), (-1, "reverse")])
+def test_half_throttle_is_no_full_reverse(tmp_path, run, turns, direction):
+    """From 1000 to 1500 µs a rotor of one direction speeds up, and one that reverses slows down."""
+    rows = [f"{i / 100},{1000 + i // 60 * 100},{300 + turns * (i // 60)},1,0.01" for i in range(360)]
+    log, target = tmp_path / "half.csv", tmp_path / "half.toml"
+    log.write_text(
+        "\n".join(["Time (s),Command (us),Speed (rad/s),Fz (N),Mz (N·m)", *rows]), encoding="utf-8"
+    )
+    assert run("new-campaign", "motor", "--minimal", "--from", log, "--out", target)[0] == 0
+    stated = tomllib.loads(target.read_text(encoding="utf-8"))
+    assert [trial["direction"] for trial in stated["trials"]] == [direction]
+    assert ("neutral" in stated["command"]) == (direction == "reverse")
+
+
 def test_a_new_campaign_reads_the_logs_with_the_options_and_states_them(tmp_path, run, refused):
     """A load cell without a clock and units: the options that `inspect` needs stand in the campaign."""
     log, target = tmp_path / "cell.csv", tmp_path / "cell.toml"
@@ -214,6 +228,8 @@ def test_a_new_campaign_reads_the_logs_with_the_options_and_states_them(tmp_path
                   {"speed": "rpm", "Fz": "N", "Mz": "mN*m", "command": "us"}),
     }  # fmt: skip
     words = [word for name, (given, _) in options.items() for word in ("-o", f"{name}={given}")]
+    refused([f"sysid inspect {log} shows all that is missing"],
+            "new-campaign", "motor", "--from", log, "--out", target)  # fmt: skip
     code, _, err = run("new-campaign", "motor", "--from", log, *words, "--out", target)
     assert code == 0, err
     assert tomllib.loads(target.read_text(encoding="utf-8"))["log"] == {
