@@ -10,15 +10,21 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.journal import Finding, note
-from sysid.loaders.columns import Column, listing_note, naming
+from sysid.loaders.clock import declared_rate, row_clock
+from sysid.loaders.columns import Column, NamedTable, listing_note, naming, unread_note
 from sysid.loaders.load_cell import UNITS, shown_unit
 from sysid.loaders.options import BenchOptions, is_positive
 from sysid.loaders.registry import family_format
 from sysid.loaders.source import Source
+from sysid.loaders.table import Numbers
 from sysid.recording import Channel, Recording
 from sysid.types import FloatArray
 from sysid.units import parse_quantity
 
+# Options of a table whose columns are found by name.
+NAMED_TABLE: Mapping[str, tuple[str, ...]] = {
+    "rate": (), "units": (), "columns": (), "time_back": (), "segment": (),
+}  # fmt: skip
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # Channels of the loads on these axes.
 _LOADS = ("force_x", "force_y", "thrust", "torque_x", "torque_y", "torque")
@@ -67,6 +73,41 @@ class RawTable:
             scaled = column_values * factors[name] if factors[name] != 1.0 else column_values
             self.channels[name] = Channel(name, shown_unit(unit), self.time, scaled)
         self.notes += listing_note("columns-without-values", "columns without a single value", blank)
+
+
+def named_table(
+    table: NamedTable,
+    options: BenchOptions,
+    device: str,
+    found: Mapping[str, tuple[Column | None, str, str | None]],
+    clock: Column | None,
+    *others: Column,
+) -> tuple[RawTable, Numbers]:
+    """Return a table of signals, and the numbers of its rows, among them those of `others`.
+
+    `found` has for each channel its column, its SI unit, and the unit of a column that states none. Rows
+    without a clock and a declared rate are points, which are counted.
+    """
+    path, rate = table.path, declared_rate(table.path, options.rate)
+    columns = {name: (column, unit) for name, (column, unit, _) in found.items() if column is not None}
+    factors = {
+        name: table.declared.factor(column, name, unit, found[name][2])
+        for name, (column, unit) in columns.items()
+    }
+    seconds = table.declared.factor(clock, "time", "s") if clock else 1.0
+    table.declared.check_used(table.columns)
+    wanted = [*filter(None, [clock]), *others, *(column for column, _ in columns.values())]
+    numbers = table.read(wanted)
+    kind, time = "static-map", np.arange(numbers.lines.size, dtype=np.float64)
+    words = 'rows have no time: each is a steady point; for a running log declare rate = "100 Hz"'
+    timed = [note(kind, words)]
+    if clock or rate:
+        kind, place = "signals", clock.index if clock else None
+        time, timed = row_clock(path, numbers, place, seconds, rate, options)
+    notes = [*numbers.notes, *timed, *table.declared.notes, *unread_note(table.columns, wanted)]
+    raw = RawTable(kind, device, time, notes)
+    raw.add(numbers.columns, columns, factors)
+    return raw, numbers
 
 
 def motor_transform(path: str, transform: Mapping[str, object]) -> FloatArray:

@@ -29,7 +29,7 @@ from sysid.loaders.options import BenchOptions
 from sysid.loaders.registry import CERTAIN, NO, POSSIBLE
 from sysid.loaders.source import Source
 from sysid.loaders.table import find_header
-from sysid.loaders.table_log import RawTable, table_format
+from sysid.loaders.table_log import NAMED_TABLE, RawTable, table_format
 from sysid.recording import Channel
 
 # Words above or in the header of ATI's logs, which other loaders read.
@@ -97,7 +97,5 @@ def _parse(source: Source, options: BenchOptions) -> RawTable:
 
 FORMAT = table_format(
     "load-cell-csv", "six-axis load cell CSV (time or rate, command, speed, Fz, Mz)", _recognize, _parse,
-    {
-        "rate": (), "units": (), "columns": (), "pulses_per_revolution": (), "time_back": (), "segment": (),
-    },
+    {**NAMED_TABLE, "pulses_per_revolution": ()},
 )  # fmt: skip
