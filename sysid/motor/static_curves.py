@@ -1,8 +1,8 @@
 """Static curves by robust least squares: T(Ω), τ_aero(Ω) and Ω_0(u), one set of coefficients per direction.
 
-Points come from averaged logs (a row is a point) or from the steady segments of a step log; see
-`sysid.trials.steady.steady_points`. A point far from the curve (a speed probe that missed a blade, a stand
-that settled late) loses weight instead of bending it.
+A point is a row of an averaged log, or the mean over a steady segment of a log with steps
+(`sysid.trials.steady.steady_points`). A point far from the curve loses weight, so that a speed probe that
+misses a blade does not bend the curve.
 """
 
 from __future__ import annotations
@@ -39,11 +39,12 @@ def no_load_line(direction: Rotation) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class CurveFit:
-    """A curve of two coefficients and how well the points determine it.
+    """A curve of two coefficients, and how well the points determine it.
 
     The coefficients are (c2, c1) of c2 Ω|Ω| + c1 Ω, or (a, b) of a u + b sign(u) where `quantity` is
-    "no_load"; their errors are one standard deviation, with a `correlation` [1]. R² is 1 − Σr²/Σ(y − ȳ)² over
-    the points that are no outliers, which lie beyond 5 robust standard deviations.
+    "no_load". `standard_errors` are one standard deviation each, with a `correlation` [1] between them.
+    Outliers lie more than 5 robust standard deviations from the curve. R² is 1 − Σr²/Σ(y − ȳ)² over all other
+    points.
     """
 
     quantity: str
@@ -69,7 +70,7 @@ class CurveFit:
         residual: FloatArray,
         inlier: BoolArray,
     ) -> CurveFit:
-        """Return a fit of y (n,); the covariance (2, 2) may be scaled, only its correlation counts."""
+        """Return a fit of y (n,); only the correlation of the covariance (2, 2) is used, not its scale."""
         total = float(np.sum((y[inlier] - y[inlier].mean()) ** 2))
         r_squared = 1.0 - float(np.sum(residual[inlier] ** 2)) / total if total > 0 else float("nan")
         sizes = np.sqrt(np.diag(covariance))
@@ -85,7 +86,7 @@ class CurveFit:
         return float(columns @ self.coefficients), float(np.sqrt(columns @ self.covariance @ columns))
 
     def columns(self, place: float) -> FloatArray:
-        """Return what the coefficients are multiplied by (2,) at a speed [rad/s] or command [1]."""
+        """Return the factors (2,) of the coefficients at a speed [rad/s] or command [1]."""
         return np.array(
             [place, np.sign(place)] if self.quantity == "no_load" else [place * abs(place), place]
         )
@@ -116,11 +117,11 @@ class CurveFit:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """A static curve of its own logs, and the two rows by which a fit moves it within its errors.
+    """A static curve of logs under `[curves]`, and two parameters that move it within its errors.
 
-    The rows are the curve at full speed or command, and half-way, over what the points give; the second is
-    what the points leave open of the middle once the top is known, so that both errors are independent.
-    `changes` (2, 2) are those of the coefficients per unit of each row [SI].
+    The first parameter is a factor [1] on the curve at full speed or command, the second one a factor
+    half-way with the end unchanged. Their errors are independent. A unit of parameter i changes the
+    coefficients by `changes[i]` [SI].
     """
 
     fit: CurveFit
@@ -133,7 +134,7 @@ class MeasuredCurve:
         """Return a curve whose points reach to `top` [rad/s] or [1]; None where its errors are not known."""
         if fit.points < 3:
             return None
-        # A few points state their own scatter badly, which widens the tails: Student's t.
+        # The scatter of few points is itself uncertain, so the tails are those of Student's t.
         wider = float(student.isf(_RARE, fit.points - 2) / norm.isf(_RARE))
         left, rows, errors, changes = wider**2 * fit.covariance, [], [], []
         name, symbol = ("no_load_line", "Ω_0") if fit.quantity == "no_load" else ("torque_curve", "τ")
@@ -149,7 +150,7 @@ class MeasuredCurve:
             rows.append(
                 Parameter(
                     f"{name}_{place}_{fit.direction}", f"{symbol} {fit.direction}, {place}", "1", 1.0, 0.0,
-                    2.0, "linear", f"Static curve over what its points give, {words}.", "static logs",
+                    2.0, "linear", f"Factor on the measured static curve, {words}.", "static logs",
                     MEASURED_CURVE,
                 )
             )  # fmt: skip
@@ -160,14 +161,13 @@ class MeasuredCurve:
 class NoLoadTie:
     """No-load line of loaded steady points, which moves with R: Ω_0 = Ω + R (τ + k_d Ω)/(k_m k_v).
 
-    `columns` (n, 2) are u and sign(u) of the points, times V/V_ref; `points` (n, 2) are their loaded speed Ω
-    [rad/s] and drag τ [N·m]. At commands up to `standing` |u| [1] the rotor stands.
+    `columns` (n, 2) are u and sign(u) of the points, times V/V_ref. `points` (n, 2) are the loaded speeds Ω
+    [rad/s] and the drags τ [N·m]. The rotor stands at commands up to `standing` |u| [1].
 
     Notes
     -----
-    A point far from the others loses weight as in the other curves. The soft-L1 weights are computed once,
-    about a parabola of Ω over u, so that the line stays linear in R/(k_m k_v) and a candidate of the search
-    costs one product.
+    The soft-L1 weights of the points are computed once, about a parabola of Ω over u. The line is then linear
+    in R/(k_m k_v), and a candidate of the search costs one product.
     """
 
     columns: FloatArray
@@ -183,9 +183,9 @@ class NoLoadTie:
 
     @cached_property
     def levels(self) -> FloatArray:
-        """(k, 3) the map of the supply law: |u|, and |Ω| [rad/s] and |τ| [N·m] over V/V_ref; none falls.
+        """(k, 3) the map of the supply law: |u|, and |Ω| [rad/s] and |τ| [N·m] over V/V_ref, never falling.
 
-        A level that was commanded several times is one; the first one is that of a rotor that stands.
+        Points of one command are one level, their weighted mean. The first level is a rotor at rest.
         """
         u, index, share = self._by_level
         ratio = np.abs(self.columns[:, 1])
@@ -196,10 +196,9 @@ class NoLoadTie:
 
     @cached_property
     def measured(self) -> FloatArray:
-        """(k, 3) the levels under the supply of the logs: |u|, |Ω| [rad/s], which never falls, V/V_ref [1].
+        """(k, 3) the levels as measured, under the supply of the logs: |u|, |Ω| [rad/s], V/V_ref [1].
 
-        A supply that sags takes speed where the load is large: at V_ref the rotor would be faster, and by
-        less than V_ref/V.
+        The speeds never fall. At V_ref the rotor would be faster, by less than V_ref/V.
         """
         u, index, share = self._by_level
         speed, ratio = (
@@ -210,7 +209,7 @@ class NoLoadTie:
 
     @cached_property
     def repeats(self) -> float:
-        """Standard deviation of a speed whose command was held several times, over its mean [1]; else NaN."""
+        """Relative standard deviation of speeds at a repeated command [1]; NaN if no command is repeated."""
         _, index, _ = self._by_level
         speed, count = np.abs(self.points[:, 0]), np.bincount(index)
         off = speed / (np.bincount(index, speed) / count)[index] - 1.0
@@ -225,7 +224,7 @@ class NoLoadTie:
         return float(np.sqrt(np.mean((slope * u + intercept - speed) ** 2)) / np.max(speed))
 
     def document(self, is_map: bool) -> dict[str, object]:
-        """Return the supply law as a result states it: its levels, and whether they or a line serve."""
+        """Return the supply law as a result states it: levels, line, and which of both the fit uses."""
         columns = ["command [1]", "loaded speed V_ref/V [rad/s]", "drag V_ref/V [N·m]"]
         measured = ["command [1]", "loaded speed [rad/s]", "V/V_ref [1]"]
         law = "map" if is_map else "line"
@@ -248,7 +247,8 @@ class NoLoadTie:
     @cached_property
     def weights(self) -> FloatArray:
         """(n,) soft-L1 weights of the points [1]."""
-        # The drag bends Ω(u) about like u|u|. A misread speed has a misread drag, which may not judge it.
+        # The drag bends Ω(u) about like u|u|. The measured drag of a misread speed is wrong as well, so the
+        # parabola does without it.
         u, sign = self.columns.T
         columns, speed = np.column_stack([u, sign, u * u / sign]), self.points[:, 0]
         scaled = columns / np.max(np.abs(columns), axis=0)
@@ -268,7 +268,7 @@ class NoLoadTie:
     def line(self, drop: FloatArray, damping: FloatArray, sag: FloatArray | None = None) -> FloatArray:
         """Return slope and intercept (P, 2) of Ω_0 for R/(k_m k_v) (P,) [rad/s per N·m] and k_d (P,).
 
-        `sag` (P,) is the same of the supply's resistance R_s, which counts with u².
+        `sag` (P,) is R_s/(k_m k_v) with the supply's resistance R_s, whose drop is proportional to u².
         """
         speed, torque, squared_speed, squared_torque = self.lines
         line = (1.0 + drop * damping)[:, None] * speed + drop[:, None] * torque
@@ -279,7 +279,8 @@ class NoLoadTie:
     def fit(self, direction: Rotation, drop: float, damping: float) -> CurveFit:
         """Return the line at one R/(k_m k_v) and k_d, and how well the points lie on it.
 
-        The standard errors come from the points. An error of R moves all points together; they leave it out.
+        The standard errors are those of the points. They leave out the error of R, which moves all points
+        together.
         """
         line = self.line(np.array([drop]), np.array([damping]))[0]
         speed, torque = self.points.T
@@ -287,7 +288,7 @@ class NoLoadTie:
         residual = lifted - self.columns @ line
         sigma = max(float(np.median(np.abs(residual))) / 0.6745, 1e-9 * float(np.max(np.abs(lifted))))
         near = np.abs(residual) <= _OUTLIER * sigma
-        # Outliers pull by their weight alone: what the others scatter is the error.
+        # Outliers keep their weight in the line, but the error is the scatter of the other points.
         weight = np.where(near, self.weights, 0.0)
         spread = float(weight @ residual**2) / max(float(weight.sum()) - 2.0, 1.0)
         weighted = self.weights[:, None] * self.columns
@@ -308,10 +309,10 @@ def fit_speed_curve(
 ) -> CurveFit:
     """Fit c2 Ω|Ω| + c1 Ω to the points of one direction.
 
-    Steady speeds (n,) [rad/s], and thrust [N] or aerodynamic torque [N·m] (n,) with the sign of the speed;
-    NaN pairs, and points that turn the other way, are left out. `zero_rows` are the points at rest whose mean
-    was subtracted as the tare: its error, common to all, counts in the standard errors; 0: an exact zero. A
-    `zero_error` is that error itself [N] or [N·m].
+    `speed` (n,) are steady speeds [rad/s], `value` (n,) thrust [N] or aerodynamic torque [N·m] with the sign
+    of the speed. NaN pairs, and points that turn the other way, are left out. The mean of `zero_rows` points
+    at rest was subtracted as the tare, whose error shifts all points together and counts in the standard
+    errors; 0 is an exact tare. `zero_error` [N] or [N·m] is that error, where it is known.
     FitError when fewer than three points at different speeds remain, or the curve has the wrong sign.
     """
     unit = "N" if quantity == "thrust" else "N·m"
@@ -370,7 +371,7 @@ def _robust_line(
             f"{quantity} curve, {direction}: steady points at {different} different {what}s; expected at "
             "least 3: add a log with more steady steps in this direction"
         )
-    # Columns scaled to 1: c2 and c1 differ by the speed itself, which least_squares would feel.
+    # Columns scaled to 1, because c2 and c1 differ by the speed, three orders of magnitude.
     size = np.max(np.abs(columns), axis=0)
     scaled = columns / size
     start, sigma = _robust_solution(scaled, y)
@@ -386,7 +387,7 @@ def _robust_line(
     )
     covariance = spread * np.linalg.inv(scaled.T @ scaled)
     if zero_rows or zero_error:
-        # A tare from a few points of the same noise shifts all others together.
+        # The error of the tare shifts all points together.
         shift = np.linalg.solve(scaled.T @ (curvature[:, None] * scaled), scaled.T @ curvature)
         of_rows = spread / zero_rows if zero_rows else 0.0
         covariance = covariance + max(of_rows, zero_error**2) * np.outer(shift, shift)
@@ -397,7 +398,7 @@ def _robust_line(
 def _robust_solution(columns: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
     """Return the coefficients (k,) of the soft-L1 fit of y over columns, and the scale of its residuals."""
     floor = 1e-9 * (float(np.max(np.abs(y))) or 1.0)
-    # A start that outliers cannot move far: the absolute residual, then the scale it shows.
+    # Scale and solution in turn, until both stay.
     start: FloatArray = np.asarray(np.linalg.lstsq(columns, y, rcond=None)[0], dtype=np.float64)
     for _ in range(10):
         residual = y - columns @ start
