@@ -301,7 +301,7 @@ class MotorProblem(Problem):
                 moved = np.concatenate([moved, change])
         if len(self._changes):
             values, _ = self.compared(np.concatenate([row + self._changes, row - self._changes]))
-            up, down = np.split(values, 2)
+            up, down = np.split(values[:, : moved.shape[1]], 2)
             moved = np.concatenate([moved, (up - down) / 2])
         return moved
 
