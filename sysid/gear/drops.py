@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +14,13 @@ from sysid.campaign import GearCampaign, GearTrial
 from sysid.campaign.common import TrialUse
 from sysid.campaign.file import resolve_log
 from sysid.campaign.logs import CaptureLogOptions, load_stated, warn_of_idle_options
-from sysid.errors import LogError
+from sysid.errors import LogError, SysidError
 from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget
 from sysid.gear.parameters import parameters_on
 from sysid.gear.plausible import notice_contradictions, notice_slope
-from sysid.journal import note, notice
+from sysid.gear.swaps import swaps
+from sysid.journal import Journal, note, notice
 from sysid.recording import Recording
 from sysid.trials.capture import (
     CaptureFrame,
@@ -35,7 +38,10 @@ from sysid.types import FloatArray
 # Time from the touchdown to the visible end of free fall [s]: the legs yield first.
 _YIELDING = 0.01
 # Times before and after the touchdown beyond which the end of free fall points to a wrong surface plane [s].
-_EARLY, _LATE = 0.006, 0.035
+_EARLY_LATE = (-0.006, 0.035)
+# Largest distance [m] of the surface from where free fall ends in a right campaign, and the difference [m] of
+# two such distances that tells nothing.
+_IN_PLACE, _AS_NEAR = 0.012, 0.002
 # Shortest fall that tells about g [s]: five samples determine it to some 10 %.
 _TELLS_GRAVITY = 0.06
 # Largest relative error of the measured g without a doubt [1].
@@ -55,6 +61,7 @@ class PreparedDrop:
     flight: Flight
     touchdown: float  # first contact on the log's clock [s]
     impact_speed: float  # downward speed at the touchdown [m/s]
+    late: float  # time from the touchdown to the visible end of free fall [s]
     time: FloatArray  # (n,) samples of the window on the log's clock [s]
     initial_state: FloatArray  # (6,) x, z, pitch and rates at time[0] [SI]
     simulated_time: FloatArray  # (n + margin,) samples of the window and of the filter's margin after it [s]
@@ -72,6 +79,16 @@ class PreparedDrop:
     def slope(self) -> float:
         """Angle of the surface [rad]."""
         return self.feet.slope
+
+    @property
+    def surface_error(self) -> float:
+        """Height by which the surface seems to lie above the true one [m]."""
+        return self.impact_speed * (self.late - _YIELDING)
+
+    @property
+    def touches_in_time(self) -> bool:
+        """Whether free fall ends where the feet should touch."""
+        return _EARLY_LATE[0] < self.late < _EARLY_LATE[1]
 
 
 def cost_channels(campaign: GearCampaign) -> tuple[CostChannel, ...]:
@@ -94,11 +111,17 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     Raises SysidError for the first drop that cannot be used. A doubtful drop is noticed in the journal: an
     unlikely g, a doubtful touchdown.
     """
-    # Several drops may lie in one long take: keep the last files read.
-    read = lru_cache(maxsize=2)(partial(read_drop_log, campaign))
     # Every file must exist before the first is read.
     logs = [(trial, resolve_log(path, trial.log)) for trial in campaign.trials]
     capture = campaign.capture
+
+    @cache
+    def read_once(log: str, body: str | None, options: str) -> Recording:
+        return read_drop_log(campaign, resolve_log(path, log), body, options)
+
+    def read(trial: GearTrial) -> Recording:
+        return read_once(trial.log, trial.rigid_body, trial.log_options.model_dump_json())
+
     warn_of_idle_options(
         "capture",
         {name: value for name, value in capture.loader_options().items() if name != "rigid_body"},
@@ -106,18 +129,55 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     )
     rest = None
     if campaign.surface.rest_log is not None:
-        rest = read(resolve_log(path, campaign.surface.rest_log), None, "{}")
-    drops = []
-    for trial, log in logs:
-        recording = read(log, trial.rigid_body, trial.log_options.model_dump_json())
+        rest = read_once(campaign.surface.rest_log, None, "{}")
+    drops: list[PreparedDrop] = []
+    for trial in campaign.trials:
+        recording = read(trial)
         try:
             drops.append(_Preparation(campaign, trial, recording, rest).drop())
         except LogError:
             # A misstated value of the campaign is the likely cause, so it is named first.
             seen = inspect_recording(recording, campaign.vehicle.gravity)
             notice_contradictions(campaign, trial, seen.drop)
+            _notice_swap(campaign, read, rest)
             raise
+    if not all(drop.touches_in_time for drop in drops):
+        _notice_swap(campaign, read, rest)
     return tuple(drops)
+
+
+def _notice_swap(
+    campaign: GearCampaign, read: Callable[[GearTrial], Recording], rest: Recording | None
+) -> None:
+    """Notice a mistake without which the feet of every drop touch where free fall ends."""
+
+    def error(stated: GearCampaign, k: int) -> float:
+        with suppress(SysidError), Journal():
+            trial = stated.trials[k]
+            return abs(_Preparation(stated, trial, read(trial), rest).drop().surface_error)
+        return np.inf
+
+    places, found = range(len(campaign.trials)), []
+    before = np.array([error(campaign, k) for k in places])
+    wrong = before > _IN_PLACE
+    for swap in swaps(campaign):
+        other, after = swap.undone(campaign), before.copy()
+        changed = [k for k in places if other.trials[k] != campaign.trials[k]]
+        # One drop among good ones does not speak against what all have in common.
+        if np.count_nonzero(wrong) < min(2, len(wrong)) and not changed:
+            continue
+        if not np.delete(wrong, changed).any() or not changed:
+            after[changed or places] = [error(other, k) for k in changed or places]
+            found.append((float(after.max()), swap.title))
+    found = [(error, title) for error, title in sorted(found) if error < _IN_PLACE]
+    near = [title for error, title in found if error < found[0][0] + _AS_NEAR]
+    if near:
+        others = f" (so do they with {' or '.join(near[1:])})" if near[1:] else ""
+        notice(
+            "contradicts-swapped",
+            f"all drops touch where free fall ends, within {1000 * found[0][0]:.0f} mm, with "
+            f"{near[0]}{others}: check the campaign",
+        )
 
 
 def read_drop_log(campaign: GearCampaign, path: Path, body: str | None, options: str) -> Recording:
@@ -194,6 +254,7 @@ class _Preparation:
             flight=flight,
             touchdown=self.touchdown,
             impact_speed=impact_speed,
+            late=self._leaves_free_fall() - self.touchdown,
             time=motion.time[window],
             initial_state=initial_state,
             simulated_time=motion.time[window.start : window.stop + around],
@@ -354,7 +415,7 @@ class _Preparation:
                 wrong,
             )
         late = self._leaves_free_fall() - self.touchdown
-        if not -_EARLY < late < _LATE:
+        if not _EARLY_LATE[0] < late < _EARLY_LATE[1]:
             side, level = ("after", "high") if late > 0 else ("before", "low")
             off = -self.at_touchdown[4] * abs(late - _YIELDING)
             self._notice(

@@ -1,0 +1,47 @@
+"""Exchanges of two entries of a campaign, and lost signs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+# Keys and indices that lead to an entry of a campaign: ``("trials", 2, "slope")``.
+Place = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class Swap:
+    """A likely mistake in writing down a campaign, as what undoes it."""
+
+    # Words for the campaign without the mistake, after "with": ``foot_dx and foot_dz exchanged``.
+    title: str
+    # Entries to exchange, and numbers that take the other sign.
+    exchanged: tuple[tuple[Place, Place], ...] = ()
+    negated: tuple[Place, ...] = ()
+
+    def undone(self, campaign: Any) -> Any:
+        """Return a campaign without the mistake."""
+        out = campaign
+        for one, other in self.exchanged:
+            out = _with(out, one, _at(campaign, other))
+            out = _with(out, other, _at(campaign, one))
+        for place in self.negated:
+            out = _with(out, place, -_at(campaign, place))
+        return out
+
+
+def _at(node: Any, place: Place) -> Any:
+    for key in place:
+        node = node[key] if isinstance(key, int) else getattr(node, key)
+    return node
+
+
+def _with(node: Any, place: Place, value: Any) -> Any:
+    if not place:
+        return value
+    key, rest = place[0], place[1:]
+    if isinstance(node, BaseModel):
+        return node.model_copy(update={str(key): _with(getattr(node, str(key)), rest, value)})
+    return tuple(_with(one, rest, value) if i == key else one for i, one in enumerate(node))

@@ -1,0 +1,55 @@
+"""Exchanged entries of a campaign are named where drops cannot be opened, or touch out of time."""
+
+import shutil
+from contextlib import suppress
+
+import pytest
+
+from fakes.places import SAMPLES
+from sysid.campaign import read_campaign
+from sysid.errors import LogError, SysidError
+from sysid.gear.drops import prepare_drops
+from sysid.journal import Journal
+
+
+def heard(tmp_path, *changes):
+    """Sentences on exchanges of the sample drops, whose campaign was changed."""
+    path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
+    text = path.read_text("utf-8")
+    for old, new in changes:
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    path.write_text(text, "utf-8")
+    with Journal() as journal, suppress(SysidError):
+        prepare_drops(read_campaign(path, "gear"), path)
+    return [finding.sentence for finding in journal.findings if finding.code == "contradicts-swapped"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ([('slope = "10 deg"', 'slope = "x"'), ('slope = "15 deg"', 'slope = "10 deg"'),
+          ('slope = "x"', 'slope = "15 deg"')], "the slopes (or the logs) of drop-2 and drop-3 exchanged"),
+        ([('foot_dx = "105 mm"', 'foot_dx = "151 mm"'), ('foot_dz = "151 mm"', 'foot_dz = "105 mm"')],
+         "foot_dx and foot_dz exchanged"),
+        ([('"-22 mm"', '"22 mm"')], "the other sign of centre_of_mass_offset[1]"),
+    ],
+)  # fmt: skip
+def test_an_exchange_is_named(tmp_path, changes, named):
+    (sentence,) = heard(tmp_path, *changes)
+    assert f"with {named}" in sentence
+
+
+@pytest.mark.parametrize("changes", [(), [('slope = "20 deg"', 'slope = "14 deg"')],
+                                     [('slope = "20 deg"', 'slope = "31 deg"')]])  # fmt: skip
+def test_a_right_campaign_and_one_wrong_slope_are_no_exchange(tmp_path, changes):
+    assert heard(tmp_path, *changes) == []
+
+
+def test_a_refusal_names_the_exchange(tmp_path):
+    path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
+    text = path.read_text("utf-8").replace('"105 mm"', '"x"').replace('"151 mm"', '"105 mm"')
+    path.write_text(text.replace('"x"', '"151 mm"'), "utf-8")
+    blamed = pytest.raises(LogError, match=r"the likely cause: .* foot_dx and foot_dz exchanged")
+    with blamed, Journal() as journal, journal.blaming():
+        prepare_drops(read_campaign(path, "gear"), path)
