@@ -37,7 +37,7 @@ from sysid.journal import Say
 from sysid.parameters import SearchSpace
 from sysid.trust.assessment import linearize_widened
 from sysid.trust.least_squares import solve
-from sysid.trust.problem import scales
+from sysid.trust.problem import scales, stated_columns
 from sysid.trust.terms import TOLERANCE, downhill, freed, searched, starting_point
 from sysid.types import FloatArray
 
@@ -131,6 +131,7 @@ class Climber:
         self._say = say or (lambda sentence: None)
         self._floors = problem.floors(problem.space.full(start[None])[0])
         self._problem, self._start = problem, start
+        self._kept = stated_columns(problem, start)
 
     def climb(self, terms: Sequence[Term], simpler: Sequence[tuple[str, Problem]] = ()) -> Ladder:
         """Return the base, each term alone, those to keep together, and simpler models by title."""
@@ -216,7 +217,12 @@ class Climber:
         return self._fitted(terms, problem, np.array(starts))
 
     def _fitted(self, terms: tuple[Term, ...], problem: Problem, starts: FloatArray) -> TermFit:
-        return self._rated(terms, problem, *downhill(problem, starts))
+        return self._rated(terms, problem, *downhill(problem, starts, self._columns(problem, bool(terms))))
+
+    def _columns(self, problem: Problem, beside: bool = True) -> FloatArray | None:
+        """Return the base's derivatives by stated values, for a fit `beside` the base of the same values."""
+        same = problem.space.stated.keys() == self._problem.space.stated.keys()
+        return self._kept if beside and same else None
 
     def _rated(
         self, terms: tuple[Term, ...], problem: Problem, point: FloatArray, evaluations: int
@@ -240,7 +246,7 @@ class Climber:
         weights_of = np.pad(1.0 - left, ((0, 0), (0, len(residuals) - left.shape[1])), constant_values=1.0)
         solved = solve(
             problem, np.repeat(point[None], count, axis=0), scale, rise=RISE,
-            weights=lambda part: weights_of[part],
+            weights=lambda part: weights_of[part], kept=self._columns(problem),
             tolerance=TOLERANCE, iterations=_ITERATIONS_WITHOUT,
         )  # fmt: skip
         self.evaluations += solved.evaluations + count

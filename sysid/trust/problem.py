@@ -28,7 +28,7 @@ from sysid.errors import FitError
 from sysid.fit.derivatives import displaced
 from sysid.fit.least_squares import LEAST_NRMSE
 from sysid.fit.problem import Problem
-from sysid.fit.trial import Block
+from sysid.fit.trial import Block, nrmse_of
 from sysid.types import BoolArray, FloatArray
 
 # Displacement of a difference quotient, over the distance at which the cost rises by one deviation [1].
@@ -94,6 +94,21 @@ def jacobian(problem: Problem, point: FloatArray, scale: FloatArray, noise: floa
     # The error of a central difference goes with h²: halving the step takes three quarters of it away.
     doubt = np.linalg.norm(fine - coarse, axis=0) / np.maximum(np.linalg.norm(fine, axis=0), 1e-30)
     return Jacobian(np.where(doubt < 3 * TRUSTED, (4 * fine - coarse) / 3, fine), rise, doubt)
+
+
+def stated_columns(problem: Problem, point: FloatArray) -> FloatArray | None:
+    """Return the derivatives (S, m) of the residuals by the stated values at a point (n,); None without any.
+
+    They hardly bend, so that one point serves many fits.
+    """
+    count, blocks = len(problem.space.stated), problem.blocks
+    if not count:
+        return None
+    levels = nrmse_of(blocks, problem.residuals(point[None])[0][0])
+    scale = scales(problem, blocks, levels)
+    sample = np.sqrt(sum(b.weight for b in blocks) * levels.mean() / sum(b.count for b in blocks))
+    columns = jacobian(problem, point, scale, float(sample)).values[:, -count:].T
+    return np.asarray(columns / np.where(scale > 0, scale, 1.0))
 
 
 def _differences(

@@ -34,10 +34,15 @@ def starting_point(problem: Problem, wider: Problem, values: Mapping[str, float]
     return np.clip(space.encode(np.array([known[name] for name in space.names])), 0.0, 1.0)
 
 
-def downhill(problem: Problem, starts: FloatArray) -> tuple[FloatArray, int]:
-    """Walk from starts (F, n) [unit cube] to the least mean NRMSE; return where, and the simulated points."""
+def downhill(problem: Problem, starts: FloatArray, kept: FloatArray | None = None) -> tuple[FloatArray, int]:
+    """Walk from starts (F, n) [unit cube] to the least mean NRMSE; return where, and the simulated points.
+
+    `kept` are derivatives by the stated values, see `descend`.
+    """
     fronts = Fronts.at(np.unique(starts, axis=0))
-    walk = descend(fronts, MeanNrmse(problem), problem.layout, tolerance=TOLERANCE, iterations=_ITERATIONS)
+    walk = descend(
+        fronts, MeanNrmse(problem), problem.layout, kept=kept, tolerance=TOLERANCE, iterations=_ITERATIONS
+    )
     evaluations = drive(walk, problem.residuals)
     fronts.sort()
     return fronts.points[0].copy(), evaluations
