@@ -13,7 +13,7 @@ from typing import Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from sysid.campaign.common import CampaignSource
+from sysid.campaign.common import CampaignSource, as_exact
 from sysid.campaign.gear import GearCampaign
 from sysid.campaign.motor import MotorCampaign
 from sysid.documents import mistake
@@ -28,11 +28,11 @@ def register_campaign(kind: str, model: type[BaseModel]) -> None:
     _KINDS[kind] = model
 
 
-def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
+def read_campaign(path: str | Path, kind: str | None = None, *, exact: bool | None = None) -> Campaign:
     """Read a campaign file (TOML; logs in it are named relative to its folder).
 
-    A file that is missing, is no TOML, has another `kind` than the caller needs, or breaks the schema is a
-    CampaignFileError.
+    Every stated value is exact where ``[fit]`` says so, or `exact` in its place. A file that is missing, is
+    no TOML, has another `kind` than the caller needs, or breaks the schema is a CampaignFileError.
     """
     path = Path(path)
     if path.is_dir():
@@ -80,7 +80,7 @@ def read_campaign(path: str | Path, kind: str | None = None) -> Campaign:
     except ValidationError as error:
         raise CampaignFileError(f"{path}: {_first_sentence(error, _KINDS[stated], data)}") from None
     campaign._source = CampaignSource(path, hashlib.sha256(content).hexdigest(), text)
-    return campaign
+    return as_exact(campaign) if (campaign.fit.exact if exact is None else exact) else campaign
 
 
 def resolve_log(campaign_path: str | Path, log: str) -> Path:

@@ -412,5 +412,6 @@ board_length = "1.2 m"
 [fit]
 runs = 5
 seed = {seed}
+exact = true  # the values above are the truth, not measurements
 
 """

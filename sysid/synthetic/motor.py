@@ -247,5 +247,6 @@ no_load = [  # without propeller
 [fit]
 runs = 5
 seed = {seed}
+exact = true  # the values above are the truth, not measurements
 
 """

@@ -9,7 +9,6 @@ from pkgutil import resolve_name
 from typing import Any
 
 from sysid.campaign import read_campaign, register_campaign
-from sysid.campaign.common import as_exact
 from sysid.errors import CampaignError, CampaignFileError, SysidError, UnitError
 from sysid.fit.kind import Kind
 from sysid.gear.kind import GEAR
@@ -128,7 +127,8 @@ def open_campaign(
     ``{"exact": True}`` in either, or in the campaign's ``[fit]``, every stated value is exact.
     """
     law = law or {}
-    campaign = read_campaign(path, kind if settings is None else None)
+    chosen = {**(settings or {}), **law}
+    campaign = read_campaign(path, kind if settings is None else None, exact=chosen.get("exact"))
     if settings is not None and kind not in (None, campaign.kind):
         raise CampaignFileError(
             f"{path}: is a {campaign.kind} campaign, but the fit is a {kind} fit; name a {kind} campaign"
@@ -138,9 +138,6 @@ def open_campaign(
         if name not in (*model.laws, "exact"):
             lacks = f"a campaign of kind {campaign.kind!r} has no {name}"
             raise CampaignFileError(f"{path}: {lacks}; leave --{name} out")
-    chosen = {"exact": campaign.fit.exact, **(settings or {}), **law}
-    if chosen["exact"]:
-        campaign = as_exact(campaign)
     with naming_campaign(path):
         campaign, ignored = model.under(campaign, chosen)
     return model, campaign, ignored

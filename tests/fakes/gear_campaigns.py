@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 
 from sysid.campaign import read_campaign
-from sysid.campaign.common import as_exact
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import GearProblem, gear_space
 from sysid.synthetic import read_truth
@@ -16,10 +15,7 @@ EXACT = {"noise_position": 0.0, "noise_angle": 0.0, "occlusions": False, "wobble
 
 
 def opened(folder, new="", old="[fit]\n"):
-    """Campaign, prepared drops and true values; `new` stands in the campaign's place of `old`, if stated.
-
-    What the campaign states is the truth, so it is taken as exact.
-    """
+    """Campaign, prepared drops and true values; `new` stands in the campaign's place of `old`, if stated."""
     path = folder / "campaign.toml"
     if new:
         text = path.read_text(encoding="utf-8")
@@ -27,7 +23,7 @@ def opened(folder, new="", old="[fit]\n"):
         path = folder / "changed.toml"
         new = f"{new}\n{old}" if old == "[fit]\n" else new
         path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    campaign = as_exact(read_campaign(path, "gear"))
+    campaign = read_campaign(path, "gear")
     return campaign, prepare_drops(campaign, path), read_truth(folder)["parameters"]
 
 

@@ -8,7 +8,6 @@ import pytest
 from fakes.gear_campaigns import EXACT, on_board, opened
 from sysid import exact_json
 from sysid.campaign import read_campaign
-from sysid.campaign.common import as_exact
 from sysid.errors import CampaignError
 from sysid.fit.nrmse import FAILED_NRMSE
 from sysid.fit.store import read_fit
@@ -173,7 +172,7 @@ def test_the_accuracy_of_a_simulation_is_the_campaigns(folder, problem):
     text = (folder / "campaign.toml").read_text(encoding="utf-8")
     path = folder / "exact.toml"
     path.write_text(text.replace("[fit]\n", "[fit]\ntolerance = 1e-5\n"), encoding="utf-8")
-    campaign = as_exact(read_campaign(path, "gear"))
+    campaign = read_campaign(path, "gear")
     exact = GearProblem(campaign, gear_space(campaign), objective.drops)
     assert exact.tolerance == 1e-5
     # It reaches the kernel: 30 times the accuracy of a method of order 3 takes three times the work where

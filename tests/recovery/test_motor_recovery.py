@@ -101,7 +101,6 @@ def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path
         max_generations=25,
         seed=4,
         quiet=True,
-        exact=True,
         trust=False,
     )
     result, folder = fit_motor(campaign_file, options)

@@ -62,10 +62,7 @@ def test_noise_is_that_of_a_turning_rotor(campaign_file: Path) -> None:
 
 
 def test_size_of_a_misfit_is_told_apart_from_its_significance(campaign_file: Path) -> None:
-    # The truth is stated, and taken as exact.
-    campaign, bench = bench_of(
-        edited(campaign_file, (r"^\[fit\]\n", "[fit]\nexact = true\n"), name="exact.toml")
-    )
+    campaign, bench = bench_of(campaign_file)
     problem = problem_of(campaign, bench).fitted
     truth = problem.complete(problem.space.full(np.full((1, len(problem.space.free)), 0.5)))[0]
     for name, value in TRUE_MOTOR.items():

@@ -51,12 +51,8 @@ def _fit(path: Path, out: Path, generations: int = 25) -> Path:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A campaign that states the truth, and that it is exact."""
     folder = tmp_path_factory.mktemp("bench") / "right"
-    path = synthesize_motor(folder, seed=11, trials=PLANS) / "campaign.toml"
-    text = path.read_text(encoding="utf-8").replace("[fit]\n", "[fit]\nexact = true\n")
-    path.write_text(text, encoding="utf-8", newline="\n")
-    return path
+    return synthesize_motor(folder, seed=11, trials=PLANS) / "campaign.toml"
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,12 @@ CURVES = [
 ]
 
 
+def unstated(path):
+    """The same campaign without errors."""
+    source = path.with_name("campaign.toml")
+    return misstated(source, 0, name="unstated.toml", errors=MOTOR_LAB, written=False)
+
+
 @pytest.fixture
 def path(tmp_path):
     bench = synthesize_motor(tmp_path / "bench", seed=3, trials=SHORT)
@@ -54,7 +60,7 @@ def test_what_was_measured_moves(path):
     assert shares == pytest.approx([0.02, 0.05, 0.005], rel=1e-3)
     assert not any(value.assumed for value in space.stated.values())
     # A campaign that states no error has the typical ones, which are those of this lab.
-    assumed = problem_of(*bench_of(path.with_name("campaign.toml"))).space.stated
+    assumed = problem_of(*bench_of(unstated(path))).space.stated
     assert {*assumed} == {*measured, *CURVES}
     assert [assumed[name].assumed for name in measured] == ["2 %", "5 %", "0.5 %"]
     assert [assumed[name].error / assumed[name] for name in measured] == pytest.approx(shares, rel=1e-3)
@@ -85,7 +91,7 @@ def test_what_was_measured_moves(path):
 
 def test_check_says_whose_error_decides(path):
     heard = []
-    found = check_campaign(path.with_name("campaign.toml"), say=heard.append)
+    found = check_campaign(unstated(path), say=heard.append)
     # R goes as k²: its half-width is twice that of a Kv known to 2 %, and little else.
     half_width = next(row.half_width for row in found.parameters if row.name == "winding_resistance")
     assert half_width == pytest.approx(2 * 1.96 * 0.02, rel=0.05)
