@@ -24,9 +24,10 @@ from sysid.campaign.common import CampaignTable
 from sysid.documents import mistake
 from sysid.errors import CampaignError, FitError
 from sysid.export import load_parameter_sets as load_parameter_sets
+from sysid.export import read_judged_fit
 from sysid.fit.kind import Kind as Kind
 from sysid.fit.result import FitResult, TrialResult
-from sysid.fit.store import fit_folder, read_fit
+from sysid.fit.store import fit_folder
 from sysid.journal import Say
 from sysid.loaders import load
 from sysid.marks import Flag, field_hints, field_values, mark_of
@@ -437,7 +438,7 @@ class Fit(Shown):
         used.
         """
         document = assess_fit(self.place, python_options(TrustOptions, locals()), say_of(progress))
-        self.result = with_intervals(read_fit(self.place), self.place)
+        self.result = with_intervals(read_judged_fit(self.place), self.place)
         return Judgement(document)
 
     @documented(ReportOptions)
@@ -460,7 +461,7 @@ def load_fit(path: str | Path) -> Fit:
     """Read a fit folder; FitError when it is missing, foreign or damaged."""
     path = path_of(path, "a fit")
     folder = fit_folder(path)
-    return Fit(with_intervals(read_fit(path), folder), folder)
+    return Fit(with_intervals(read_judged_fit(path), folder), folder)
 
 
 @documented(FitOptions)

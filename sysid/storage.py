@@ -1,7 +1,7 @@
 """Files and folders that are there whole or not at all, and HDF5 files that say what they are.
 
 New content goes to a temporary name next to its destination and takes that name only when it is complete on
-disk. A full disk, an error or Ctrl-C leaves the earlier content and nothing else; a killed process may leave
+disk; then the disk is asked to keep the names of the folder. A full disk, an error or Ctrl-C leaves the earlier content and nothing else; a killed process may leave
 a file or folder whose name starts with a dot and ends in ``.part``. While a folder is replaced (``--force``),
 its name is free for the instant between two renames: after a kill just then, the earlier content lies whole
 in ``.NAME.old.*.part``.
@@ -94,6 +94,8 @@ def write_files(files: Mapping[Path, bytes], error_type: type[SysidError] = Sysi
             _open_to_others(temporary[path])
         for path, new in temporary.items():
             replace_file(new, path)
+        for folder in {path.parent for path in files}:
+            _keep_names(folder)
     except OSError as error:
         raise error_type(_sentence(path, error)) from error
     finally:
@@ -114,6 +116,19 @@ def replace_file(new: Path, path: Path) -> None:
         except PermissionError:
             time.sleep(_PAUSE)
     os.replace(new, path)
+
+
+def _keep_names(folder: Path) -> None:
+    """Let the disk keep the names in a folder, so that no loss of power undoes a rename.
+
+    Windows opens no folder for that; NTFS keeps names in its own order.
+    """
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _open_to_others(path: Path) -> None:
@@ -139,8 +154,13 @@ def replaced_folder(
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
         yield temporary
+        for file in filter(Path.is_file, temporary.rglob("*")):
+            with open(file, "rb+") as stream:
+                os.fsync(stream.fileno())
         _open_to_others(temporary)
+        _keep_names(temporary)
         _swap(temporary, path)
+        _keep_names(path.parent)
     # h5py reports a failing disk as RuntimeError when it closes a file.
     except (OSError, RuntimeError) as error:
         raise error_type(_sentence(path, error)) from error

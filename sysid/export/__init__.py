@@ -12,16 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.errors import ExportError
+from sysid.errors import ExportError, FitError, SysidError
 from sysid.export import binary, spreadsheet
+from sysid.fit.result import FitResult
 from sysid.fit.store import FIT_FILE, read_fit
 from sysid.motor.parameters import PARAMETERS as OF_MOTOR
-from sysid.parameter_sets import ParameterSets, SetsDocument
-from sysid.parameters import ParameterTable
+from sysid.parameter_sets import ParameterSets, SetsContent, SetsDocument
 from sysid.storage import path_of, schema_of, write_file
 from sysid.trust.documents import with_intervals
 
-__all__ = ["SUFFIXES", "export", "load_parameter_sets"]
+__all__ = ["SUFFIXES", "export", "load_parameter_sets", "read_judged_fit"]
 
 
 _WRITERS = {
@@ -65,7 +65,7 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
     of_fit = file.name in ("fit.h5", "fit.json") and beside.is_file()
     if file.is_dir() or (of_fit and schema_of(beside, ExportError) == FIT_FILE.schema):
         folder = file if file.is_dir() else file.parent
-        return with_intervals(read_fit(folder), folder).parameter_sets()
+        return with_intervals(read_judged_fit(folder), folder).parameter_sets()
     try:
         data = file.read_bytes()
     except OSError as error:
@@ -92,36 +92,46 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
         raise ExportError(f"{file}: damaged or cut off ({first}); export the fit again") from error
     if not len(sets):
         raise ExportError(f"{file}: a parameter-set file without sets; export the fit again")
-    _judge(sets, file)
+    _judge(sets, file, "correct it, or export the fit again", ExportError)
     return sets
 
 
-def _judge(sets: ParameterSets, file: Path) -> None:
-    """Refuse (ExportError) units and values that the table of the sets' model excludes.
+def read_judged_fit(path: str | Path) -> FitResult:
+    """Read a fit folder, or its ``fit.h5``, and judge its sets.
+
+    Raises FitError where `read_fit` does, or the table of the fit's model excludes a unit or a value.
+    """
+    result = read_fit(path)
+    _judge(result, path, "restore fit.h5, or run the fit again", FitError)
+    return result
+
+
+def _judge(sets: SetsContent, file: str | Path, remedy: str, error_type: type[SysidError]) -> None:
+    """Refuse units and values that the table of the sets' model excludes.
 
     NaN is a number that nothing determined; what needs it refuses it.
     """
-    # Imported here, because the gear's table loads the compiler, which no start of a command may do.
-    from sysid.gear.parameters import PARAMETERS as OF_GEAR
+    table = OF_MOTOR if sets.kind == "motor" else None
+    if sets.kind == "gear":
+        # Imported here, because the gear's table loads the compiler, which no start of a command may do.
+        from sysid.gear.parameters import PARAMETERS as OF_GEAR
 
-    again = "correct it, or export the fit again"
-    tables: dict[str, ParameterTable] = {"gear": OF_GEAR, "motor": OF_MOTOR}
-    table = tables.get(sets.kind)
-    for record in sets.parameters:
+        table = OF_GEAR
+    for i, record in enumerate(sets.parameters):
         row = table.get(record.name.partition("[")[0]) if table else None
         if row is None:
             continue
         if record.unit != row.unit:
-            raise ExportError(
-                f"{file}: {record.name} has the unit {record.unit!r}, expected {row.unit!r}; {again}"
+            raise error_type(
+                f"{file}: {record.name} has the unit {record.unit!r}, expected {row.unit!r}; {remedy}"
             )
         # A scale of ratios has no zero: masses, inertias, stiffnesses, resistances.
         least, above = (0.0, " above 0") if row.scale == "log" else (-np.inf, "")
-        values = sets[record.name]
+        values = sets.values[:, i]
         # A motor without saturation has an infinite current there.
         high = np.isposinf(values) & (row.name != "saturation_current")
         if (wrong := np.flatnonzero((values <= least) | high)).size:
-            raise ExportError(
+            raise error_type(
                 f"{file}: {record.name} of set {wrong[0] + 1} is {values[wrong[0]]:g} {row.unit}, expected "
-                f"a finite number{above}; {again}"
+                f"a finite number{above}; {remedy}"
             )

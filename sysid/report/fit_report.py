@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
@@ -545,8 +546,10 @@ class FitReport:
             out["correlation"] = figure_correlation(self.trust)
         if self.climbed is not None:
             out["ladder"] = figure_rungs(self.climbed)
-        for row, *curve, _ in self.likelihood_profiles:
-            out[file_name(f"profile-{row.name}")] = figure_profile(row, *curve)
+        profiles = self.likelihood_profiles
+        names = file_names([f"profile-{row.name}" for row, *_ in profiles])
+        for name, (row, *curve, _) in zip(names, profiles, strict=True):
+            out[name] = figure_profile(row, *curve)
         return out
 
     def trial_figures(self, fit: FitResult, trial: TrialResult) -> dict[str, Figure]:
@@ -555,7 +558,9 @@ class FitReport:
 
     def trial_name(self, fit: FitResult, trial: TrialResult) -> str:
         """Return a trial's name in the names of files."""
-        return file_name(trial.name if fit is self.fit else f"against-{fit.name}-{trial.name}")
+        each = self._each()
+        names = [t.name if f is self.fit else f"against-{f.name}-{t.name}" for f, t in each]
+        return file_names(names)[each.index((fit, trial))]
 
     def missing(self, what: str, command: str, arguments: str = "") -> Html:
         """Return the line that names the command which computes a missing part."""
@@ -568,6 +573,14 @@ def _counted(number: int, noun: str) -> str:
     return f"{count} {noun}{'' if number == 1 else 's'}"
 
 
-def file_name(text: str) -> str:
-    """Return a text as part of a file's name."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", text)
+def file_names(texts: Iterable[str]) -> list[str]:
+    """Return texts as parts of files' names; a number is added to one that differs from none but in case."""
+    names: dict[str, str] = {}
+    for text in texts:
+        name = plain = re.sub(r"[^A-Za-z0-9._-]+", "-", text)
+        for number in count(2):
+            if name.casefold() not in names:
+                break
+            name = f"{plain}-{number}"
+        names[name.casefold()] = name
+    return list(names.values())

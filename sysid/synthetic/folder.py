@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from sysid import exact_json
 from sysid.errors import ExportError
 from sysid.parameters import ParameterTable
 from sysid.storage import replaced_folder
@@ -67,7 +68,7 @@ def read_truth(folder: str | Path) -> dict[str, Any]:
     if path.name != TRUTH_FILE:
         path = (path if path.is_dir() else path.parent) / TRUTH_FILE
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = exact_json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ExportError(
             f"{path}: no readable truth ({error}); only folders made by 'sysid synthesize' have one"

@@ -509,7 +509,7 @@ def free_part(folder: Path, part: str, campaign: CampaignFile) -> str:
     """
     there = {}
     for name in parts(folder):
-        if re.fullmatch(re.escape(part) + "(-[0-9a-f]{8})?", name):
+        if re.fullmatch("(?i)" + re.escape(part) + "(-[0-9a-f]{8})?", name):
             with suppress(FitError):
                 if document := ValidationDocument.read(folder, name):
                     there[name] = document.campaign
@@ -517,7 +517,8 @@ def free_part(folder: Path, part: str, campaign: CampaignFile) -> str:
         same = [name for name, stated in there.items() if stated.get(key, "") == campaign.get(key)]
         if same:
             return same[0]
-    return part if part not in there else f"{part}-{campaign['sha256'][:8]}"
+    taken = {name.casefold() for name in there}
+    return part if part.casefold() not in taken else f"{part}-{campaign['sha256'][:8]}"
 
 
 def validation_part(campaign: str) -> str:

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import FitError
+from sysid.export import read_judged_fit
 from sysid.fit.kind import Kind, Words
 from sysid.fit.problem import ASSUMED_NOISE, Problem, computed_by
 from sysid.fit.result import FitResult
-from sysid.fit.store import fit_folder, read_fit
+from sysid.fit.store import fit_folder
 from sysid.fit.story import Story
 from sysid.fit.trial import Prediction
 from sysid.journal import Journal, Say, notice
@@ -164,7 +165,7 @@ def validate_fit(
     written then.
     """
     folder, campaign_path = fit_folder(folder), Path(campaign_path)
-    result = read_fit(folder)
+    result = read_judged_fit(folder)
     with Journal(say) as journal:
         kind, whole = open_under(result, campaign_path, threads)
         journal.noun = kind.words.trials

@@ -7,11 +7,12 @@ from functools import cached_property
 from pathlib import Path
 
 from sysid.errors import FitError, SysidError
+from sysid.export import read_judged_fit
 from sysid.fit.kind import Kind, Term
 from sysid.fit.problem import Problem
 from sysid.fit.provenance import CampaignFile
 from sysid.fit.result import FitResult
-from sysid.fit.store import fit_folder, read_fit
+from sysid.fit.store import fit_folder
 from sysid.journal import notice
 from sysid.parameters import SearchSpace
 from sysid.synthetic.folder import read_truth
@@ -70,7 +71,7 @@ def open_fit(folder: Path, campaign: Path | None = None, threads: int | None = N
     than the fit.
     """
     folder = fit_folder(Path(folder))
-    return reopen(folder, read_fit(folder), campaign, threads)
+    return reopen(folder, read_judged_fit(folder), campaign, threads)
 
 
 def reopen(folder: Path, result: FitResult, campaign: Path | None, threads: int | None) -> OpenedFit:

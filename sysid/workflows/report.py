@@ -13,8 +13,9 @@ from rich.text import Text
 
 from sysid import exact_json
 from sysid.errors import ExportError, FitError, SysidError
+from sysid.export import read_judged_fit
 from sysid.fit.result import FitResult
-from sysid.fit.store import fit_folder, read_fit
+from sysid.fit.store import fit_folder
 from sysid.journal import Journal, Say
 from sysid.report.answer import Reopened
 from sysid.report.drawing import figure_bytes
@@ -33,7 +34,7 @@ from sysid.workflows.reopen import reopen
 def open_report(fit: str | Path) -> FitReport:
     """Read a fit for its report; FitError when there is none."""
     folder = fit_folder(Path(fit))
-    result = documents.with_intervals(read_fit(fit), folder)
+    result = documents.with_intervals(read_judged_fit(fit), folder)
     report: FitReport = find_report(result.kind)(folder, result)
     return report
 

@@ -361,6 +361,20 @@ def test_the_figures_of_a_motor_for_a_paper(tmp_path, monkeypatch):
     assert "drop-4 (not fitted): from +60 % to −100 %" in text
 
 
+def test_every_trial_has_a_figure_whatever_a_system_makes_of_its_name(tmp_path):
+    names = ("a b", "a-b", "A/B", "a-b-2", "ä")
+    fit = made_fit(uses=("fit",) * 5)
+    trials = tuple(replace(trial, name=name) for trial, name in zip(fit.trials, names, strict=True))
+    other = replace(fit, trials=trials, name="A-b")
+    figures = FitReport(tmp_path, other, replace(other, trials=trials[:2])).figures()
+    drawn = [name for name in figures if name.startswith("trial-")]
+    assert drawn == [
+        "trial-a-b", "trial-a-b-2", "trial-A-B-3", "trial-a-b-2-2", "trial--", "trial-against-A-b-a-b",
+        "trial-against-A-b-a-b-2",
+    ]  # fmt: skip
+    assert len({name.casefold() for name in figures}) == len(figures)
+
+
 def test_the_options_of_the_animation_tell_the_drops_apart(drop_fit, tmp_path):
     trial = replace(drop_fit.trials[0], use="validate")
     other = replace(drop_fit, name="other", trials=(trial,))

@@ -218,6 +218,8 @@ def test_two_campaigns_of_one_name_keep_both_validations(folder):
     _write(folder, part, campaign=first)
     assert free_part(folder, part, first) == part
     assert free_part(folder, part, second) == f"{part}-bbbbbbbb"
+    # Systems that do not tell case apart would have one file of both.
+    assert free_part(folder, validation_part("LAB"), second) == "validation-LAB-bbbbbbbb"
     # What spoke of another fit may go.
     (folder / "fit.h5").write_bytes(b"another fit")
     assert free_part(folder, part, second) == part

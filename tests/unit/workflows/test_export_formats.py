@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 import scipy.io
 
+from fakes.fits import made_fit
 from fakes.places import SAMPLES
 from fakes.sets import made_sets
 from sysid.errors import ExportError
 from sysid.export import export, load_parameter_sets
+from sysid.fit.store import write_fit
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.documents import FreeParameter, TrustDocument, stating_intervals
 
@@ -122,6 +124,33 @@ def test_sets_that_no_gear_has_are_refused_when_they_are_read(tmp_path, refused,
     path.write_text(json.dumps(document), encoding="utf-8")
     refused(["sets.json", words], "export", path, "--out", tmp_path / "quad.xml")
     assert not (tmp_path / "quad.xml").exists()
+
+
+@pytest.mark.parametrize("what", ["unit", "value"])
+def test_so_are_sets_of_a_fit_by_whatever_reads_one(tmp_path, refused, what):
+    fit = write_fit(made_fit(), tmp_path / "fit")
+    (fit / "fit.json").unlink()
+    with h5py.File(fit / "fit.h5", "r+") as file:
+        if what == "unit":
+            stated = json.loads(file["metadata_json"].asstr()[()])
+            stated["parameters"][0]["unit"] = "N/mm"
+            del file["metadata_json"]
+            file["metadata_json"] = json.dumps(stated)
+        else:
+            file["sets/values"][0, 0] = -6440.0
+    words = {
+        "unit": "has the unit 'N/mm', expected 'N/m'",
+        "value": "of set 1 is -6440 N/m, expected a finite",
+    }
+    motor = SAMPLES / "published/published-motor.json"
+    for command in (
+        ("show", fit), ("show", fit / "fit.h5"), ("report", fit), ("static-limits", fit), ("trust", fit),
+        ("export", fit, "--out", tmp_path / "a.json"), ("validate", fit, tmp_path / "campaign.toml"),
+        ("simulate", fit, "--motor", motor, "--slope", "20 deg", "--speed", "0.5 m/s"),
+        ("cross-validate", fit),
+    ):  # fmt: skip
+        refused(["leg_axial_stiffness", words[what], "run the fit again"], *command)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["fit", "fit.h5", "summary.txt"]
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
