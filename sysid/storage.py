@@ -1,10 +1,10 @@
 """Files and folders that are there whole or not at all, and HDF5 files that say what they are.
 
 New content goes to a temporary name next to its destination and takes that name only when it is complete on
-disk; then the disk is asked to keep the names of the folder. A full disk, an error or Ctrl-C leaves the earlier content and nothing else; a killed process may leave
-a file or folder whose name starts with a dot and ends in ``.part``. While a folder is replaced (``--force``),
-its name is free for the instant between two renames: after a kill just then, the earlier content lies whole
-in ``.NAME.old.*.part``.
+disk; then the disk is asked to keep the folder's names. A full disk, an error or Ctrl-C leaves the earlier
+content and nothing else; a killed process may leave a file or folder whose name starts with a dot and ends in
+``.part``. While a folder is replaced (``--force``), its name is free for the instant between two renames:
+after a kill just then, the earlier content lies whole in ``.NAME.old.*.part``.
 
 An HDF5 file of sysid has the attributes ``schema`` and ``version``; its numeric datasets have ``axes`` and
 ``unit``; JSON texts have the rest. It is built in memory and written by `write_file`, because the

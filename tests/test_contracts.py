@@ -3,6 +3,8 @@ are pure; nothing is pickled; start-up stays light.
 """
 
 import ast
+import hashlib
+import re
 import subprocess
 import sys
 import tomllib
@@ -185,6 +187,29 @@ def test_a_wheel_has_every_file_of_the_package():
     others = {path for path in PACKAGE.rglob("*") if path.is_file() and "__pycache__" not in path.parts}
     assert {path for path in others - packed if path.suffix != ".py"} == set()
     assert {path.parent for path in FILES} == {path.parent for path in PACKAGE.rglob("__init__.py")}
+
+
+def test_contributing_lists_what_sysid_stands_on():
+    """Every dependency with purpose, company and licence; bundled JavaScript with version and hash."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    stated = [
+        *project["dependencies"],
+        *(name for extra in project["optional-dependencies"].values() for name in extra),
+    ]
+    names = {re.match(r"[\w-]+", text)[0] for text in stated} - {project["name"]}
+    text = (ROOT / ".github/CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = text.partition("### What sysid stands on")[2].partition("\n### ")[0]
+    rows = [row.strip("|").split("|") for row in table.splitlines() if row.startswith("| ")]
+    listed = [name.strip() for cells in rows if len(cells) == 4 for name in cells[0].split(",")]
+    assert sorted(listed) == sorted({*names, "package"})
+    assert all(cell.strip() for cells in rows for cell in cells)
+    (version,) = re.findall(r"uPlot (\d+\.\d+\.\d+) \(MIT", table)
+    folder = PACKAGE / "report/page"
+    assert f"(v{version})" in (folder / "uplot.min.js").read_text(encoding="utf-8")[:80]
+    hashes = dict(re.findall(r"\| `(\S+)` \| `([0-9a-f]{64})` \|", table))
+    assert hashes == {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.min.*")
+    }
 
 
 def test_no_pickle_and_no_eval(sources):

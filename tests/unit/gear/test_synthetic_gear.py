@@ -237,6 +237,9 @@ def test_synthetic_gear_refuses_and_writes_nothing(tmp_path):
 def test_synthetic_truth_is_refused_where_there_is_none(tmp_path):
     with pytest.raises(ExportError, match="no readable truth"):
         read_truth(tmp_path)
+    (tmp_path / "truth.json").write_text("[" * 100_000, encoding="utf-8")
+    with pytest.raises(ExportError, match=r"no readable truth \(lists in lists without end"):
+        read_truth(tmp_path)
     (tmp_path / "truth.json").write_text('{"schema": "other"}', encoding="utf-8")
     with pytest.raises(ExportError, match="schema"):
         read_truth(tmp_path)

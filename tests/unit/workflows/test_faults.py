@@ -106,6 +106,8 @@ def operations(replaced):
 def test_every_kind_of_write_of_a_fit_may_fail(campaign, replaced):
     names = operations(replaced)
     assert {"write", "fsync", "replace", "mkstemp", "mkdtemp", "chmod", "unlink", "rmdir"} <= set(names)
+    # After the last rename the disk keeps the folder's names.
+    assert "fsync" in names[-names[::-1].index("replace") :]
     # The last operation of each kind: those of the result.
     for number, name in enumerate(sorted(set(names))):
         survives(campaign, replaced, len(names) - 1 - names[::-1].index(name), KINDS[number % len(KINDS)])
