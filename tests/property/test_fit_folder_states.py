@@ -223,10 +223,10 @@ def lab(tmp_path, run, monkeypatch):
     return Lab(tmp_path, run, monkeypatch)
 
 
-def test_a_hundred_commands_on_fit_folders(lab):
-    bench(lab, 5, 20)
+def test_sixty_steps_on_fit_folders(lab):
+    bench(lab, 4, 15)
 
 
 @pytest.mark.slow
-def test_many_commands_on_fit_folders(lab):
-    bench(lab, 20, 40)
+def test_six_hundred_steps_on_fit_folders(lab):
+    bench(lab, 15, 40)
