@@ -163,8 +163,8 @@ def _notice_swap(
     for swap in swaps(campaign):
         other, after = swap.undone(campaign), before.copy()
         changed = [k for k in places if other.trials[k] != campaign.trials[k]]
-        # One drop among good ones does not speak against what all have in common.
-        if np.count_nonzero(wrong) < min(2, len(wrong)) and not changed:
+        # A single drop does not speak against what all have in common.
+        if np.count_nonzero(wrong) < 2 and not changed:
             continue
         if not np.delete(wrong, changed).any() or not changed:
             after[changed or places] = [error(other, k) for k in changed or places]
