@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from sysid.api_landing import simulate_drop as simulate_drop
     from sysid.api_landing import simulate_landing as simulate_landing
     from sysid.api_landing import static_limits as static_limits
+    from sysid.api_model import Model as Model
+    from sysid.api_model import model as model
     from sysid.errors import SysidError as SysidError
     from sysid.export import load_parameter_sets as load_parameter_sets
     from sysid.export.numbers import numbers_for as numbers_for
@@ -53,6 +55,7 @@ _HOMES = {
     "sysid.api_landing": (
         "design_study", "impulse_map", "landing_map", "simulate_drop", "simulate_landing", "static_limits",
     ),
+    "sysid.api_model": ("Model", "model"),
     "sysid.errors": ("SysidError",),
     "sysid.export": ("load_parameter_sets",),
     "sysid.export.numbers": ("numbers_for",),

@@ -266,14 +266,20 @@ class Campaign:
     ('forward-1', 'reverse-1')
     """
 
-    def __init__(self, path: Path, content: CampaignTable) -> None:
-        self.path, self.content = path, content
+    def __init__(
+        self, path: Path, content: CampaignTable, kept: TemporaryDirectory[str] | None = None
+    ) -> None:
+        # A temporary folder lives as long as this object.
+        self.path, self.content, self._kept = path, content, kept
 
     @classmethod
-    def read(cls, path: str | Path) -> Self:
-        """Read a campaign file, or the one in a folder; CampaignError when it cannot be used."""
+    def read(cls, path: str | Path, kept: TemporaryDirectory[str] | None = None) -> Self:
+        """Read a campaign file, or the one in a folder; CampaignError when it cannot be used.
+
+        A temporary folder that is `kept` lives as long as the campaign.
+        """
         path = campaign_file(path_of(path, "a campaign"))
-        return cls(path, read_campaign(path))
+        return cls(path, read_campaign(path), kept)
 
     def __repr__(self) -> str:
         return f"<Campaign {self.name} ({self.kind}): {len(self.trials)} trials in {self.path.as_posix()}>"
@@ -358,9 +364,12 @@ class Fit(Shown):
     'derived'
     """
 
-    def __init__(self, result: FitResult, folder: Path, kept: TemporaryDirectory[str] | None = None) -> None:
-        # A temporary folder lives as long as this object.
-        self.result, self.place, self._kept = result, folder, kept
+    def __init__(
+        self, result: FitResult, folder: Path, kept: TemporaryDirectory[str] | None = None,
+        campaign: object = None,
+    ) -> None:  # fmt: skip
+        # Temporary folders, of the campaign as well, live as long as this object.
+        self.result, self.place, self._kept, self._campaign = result, folder, kept, campaign
 
     @property
     def folder(self) -> Path | None:
@@ -540,7 +549,7 @@ def _fitted(given: Mapping[str, Any]) -> Fit:
     result, written = fits.fit_campaign(
         path, options, kind=given["kind"], law=given["law"], say=say, hear=hear
     )
-    return Fit(result, written, kept)
+    return Fit(result, written, kept, given["campaign"])
 
 
 def say_of(progress: Progress) -> Say:

@@ -7,6 +7,7 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import UnionType
 from typing import Union, get_args, get_origin
@@ -61,9 +62,14 @@ def read_campaign(path: str | Path, kind: str | None = None, *, exact: bool | No
             ) from None
         raise CampaignFileError(f"{path}: not valid TOML: {error}; correct that line") from None
     stated = data.get("kind")
+    if isinstance(stated, str) and stated not in _KINDS:
+        # A module of an installed package registers its kind when it is loaded.
+        for point in entry_points(group="sysid.kinds", name=stated):
+            point.load()
     if not isinstance(stated, str) or stated not in _KINDS:
         raise CampaignFileError(
-            f"{path}: kind is {stated!r}; expected {' or '.join(map(repr, sorted(_KINDS, reverse=True)))}"
+            f"{path}: kind is {stated!r}; expected {' or '.join(map(repr, sorted(_KINDS, reverse=True)))}; "
+            "--plugin names the Python file of a model of your own"
         )
     if kind is not None and stated != kind:
         raise CampaignFileError(

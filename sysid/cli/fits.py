@@ -42,6 +42,17 @@ def fit_motor(campaign: CampaignPath, options: FitOptions, strict: Strict = Fals
     return _fit(fit, campaign, options, strict, json)
 
 
+@command(app, "fit", "sysid fit data_samples/motor")
+def fit(campaign: CampaignPath, options: FitOptions, strict: Strict = False, json: Json = False) -> int:
+    """Fit the model of a campaign's kind: a gear, a motor, or a model of your own.
+
+    A model of your own is in a Python file that --plugin names, before or behind any command.
+    """
+    from sysid.workflows.fit import fit_campaign
+
+    return _fit(fit_campaign, campaign, options, strict, json)
+
+
 @command(app, "fit-gear", "sysid fit-gear data_samples/gear-lf")
 def fit_gear(
     campaign: CampaignPath,

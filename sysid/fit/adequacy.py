@@ -25,8 +25,11 @@ from sysid.types import FloatArray
 
 # Residual over noise floor up to which a model explains its trials roughly [1]; beyond, it does not.
 ROUGHLY = 1.5
-EXPLAINED_BY, ROUGHLY_BY, NOT_BY = "explained", "roughly", "not_explained"
-WORDS = {EXPLAINED_BY: "explained", ROUGHLY_BY: "roughly explained", NOT_BY: "not explained"}
+EXPLAINED_BY, ROUGHLY_BY, NOT_BY, UNJUDGED = "explained", "roughly", "not_explained", "not_judged"
+WORDS = {
+    EXPLAINED_BY: "explained", ROUGHLY_BY: "roughly explained", NOT_BY: "not explained",
+    UNJUDGED: "not judged",
+}  # fmt: skip
 # Multiple of the standard error that noise alone gives a channel's mean residual [1]. A systematic mean
 # exceeds this limit and the next one.
 _ERRORS = 4.0
@@ -103,8 +106,9 @@ class Adequacy(Part):
     of ``ratio`` and the largest ratio of a channel. It is "roughly" as well where noise does not explain a
     misfit that is small beside the signal; ``but_for`` then states that misfit in words. ``nrmse`` is of the
     best set and ``floor`` what noise alone costs [1]; ``ratio`` is the mean NRMSE over that floor, without
-    what the uncertainty of assumed values explains. ``symptoms`` are parameters whose bound cuts although the
-    model is wrong. ``biases`` are systematic residuals, largest over noise first.
+    what the uncertainty of assumed values explains. Channels whose noise is not known count in neither; where
+    no noise is known, ``verdict`` is "not_judged" and both are NaN. ``symptoms`` are parameters whose bound
+    cuts although the model is wrong. ``biases`` are systematic residuals, largest over noise first.
     """
 
     verdict: str
@@ -150,14 +154,18 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
     phases = [_phases(problem, t, row) for t in range(len(problem.trials))]
     noise = np.array([block.noise for block in blocks])
     weights = np.array([block.weight for block in blocks])
-    nrmse, left = (weights @ nrmse_of(blocks, values) for values in (whole, rest))
+    nrmse = float(weights @ nrmse_of(blocks, whole))
+    known = np.isfinite(noise)
+    if not known.any():
+        return _unjudged(problem, nrmse)
+    share = np.where(known, weights, 0.0) / (1.0 if known.all() else weights[known].sum())
+    left = share @ nrmse_of(blocks, rest)
     # Squares of residuals over noise, and samples, by channel, trial and phase.
     kinds = list(dict.fromkeys(name for names in phases for name in names))
     size = (len(problem.channels), len(problem.trials), len(kinds))
     squares, counts = np.zeros(size), np.zeros(size)
     for block, level in zip(blocks, noise, strict=True):
-        # A block without a sample that counts has no known noise.
-        if not level:
+        if not level > 0:
             continue
         part = (rest[block.start : block.stop] / level) ** 2
         valid = problem.trials[block.trial].valid[:, block.channel]
@@ -181,14 +189,14 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
         trial=problem.names[trial],
         trial_ratio=by_trial[channel, trial],
     )
-    floor = noise_floor(blocks)
+    floor = noise_floor(blocks) if known.all() else float(share[known] @ noise[known])
     ratio = float(left / floor)
     verdict, but_for = verdict_of(max(ratio, misfit.channel_ratio)), ""
     if verdict != EXPLAINED_BY and not lost[0] and (but_for := _small_misfit(problem, rest)):
         verdict = ROUGHLY_BY
     symptoms = [name for name, side in (at_bound or {}).items() if side] if verdict == NOT_BY else []
     out = Adequacy(
-        verdict=verdict, sentence="", nrmse=float(nrmse), floor=floor, ratio=ratio,
+        verdict=verdict, sentence="", nrmse=nrmse, floor=floor, ratio=ratio,
         limits={EXPLAINED_BY: EXPLAINED, ROUGHLY_BY: ROUGHLY},
         channels=[
             ChannelAdequacy(
@@ -205,6 +213,20 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
     return out.model_copy(update={"sentence": _sentence(out, names, problem.remedy)})
 
 
+def _unjudged(problem: Problem, nrmse: float) -> Adequacy:
+    """Return that nothing is judged, because the noise of no channel is known."""
+    none = Misfit(
+        channel=problem.channels[0], channel_ratio=np.nan, phase="", phase_ratio=np.nan,
+        trial=problem.names[0], trial_ratio=np.nan,
+    )  # fmt: skip
+    return Adequacy(
+        verdict=UNJUDGED,
+        sentence=f"not judged: NRMSE {100 * nrmse:.2f} %, but the noise of the channels is not known",
+        nrmse=nrmse, floor=np.nan, ratio=np.nan, limits={EXPLAINED_BY: EXPLAINED, ROUGHLY_BY: ROUGHLY},
+        channels=[], phases=[], misfit=none, symptoms=[],
+    )  # fmt: skip
+
+
 def _small_misfit(problem: Problem, residuals: FloatArray) -> str:
     """Return the misfit beyond noise of residuals (m,) in words; empty where it is not small."""
     parts = []
@@ -214,6 +236,8 @@ def _small_misfit(problem: Problem, residuals: FloatArray) -> str:
             continue
         squares = sum(float(np.sum((residuals[b.start : b.stop] * b.spread) ** 2)) for b in blocks)
         noise, count = sum((b.noise * b.spread) ** 2 * b.count for b in blocks), sum(b.count for b in blocks)
+        if not np.isfinite(noise):
+            return ""
         excess = float(np.sqrt(max(squares - noise, 0.0) / count))
         signals = [problem.trials[b.trial].measured[problem.trials[b.trial].valid[:, c], c] for b in blocks]
         share = excess / max(float(np.max(np.abs(values))) for values in signals)
@@ -232,7 +256,7 @@ def verdict_of(ratio: float) -> str:
 
 def misfit_finding(judged: Adequacy) -> tuple[Finding, ...]:
     """Return what to notice of an adequacy: nothing where noise explains the trials."""
-    if judged.verdict == EXPLAINED_BY:
+    if judged.verdict in (EXPLAINED_BY, UNJUDGED):
         return tuple(
             Finding("systematic-residual", bias.sentence, trials=(bias.trial,), size=abs(bias.over_noise))
             for bias in judged.biases
@@ -249,7 +273,7 @@ def _biases(problem: Problem, whole: FloatArray, rest: FloatArray) -> list[Bias]
     worth = dict(zip(model.channels, model.inflation, strict=True))
     out = []
     for block in problem.blocks:
-        if not block.noise:
+        if not block.noise > 0:
             continue
         error = float(np.sqrt(worth[block.channel] / max(block.count, 1)))
         mean, left = (
@@ -288,7 +312,7 @@ def _lasting(problem: Problem, residuals: FloatArray, channel: int) -> float:
     lag = int(small[0]) if len(small) else len(noise)
     above = below = 0.0
     for block in problem.blocks:
-        if block.channel == channel and block.noise:
+        if block.channel == channel and block.noise > 0:
             part = residuals[block.start : block.stop] / block.noise
             above += float(part[:-lag] @ part[lag:])
             below += float(part @ part)

@@ -319,7 +319,7 @@ class LeastSquares(Breeder):
     def ended(self) -> StopReason:
         """Why there is nothing to ask for: the walk has ended, or more is left than noise explains."""
         floor = noise_floor(self._objective.blocks)
-        return "converged" if np.exp(self._fronts.cost.min() / 2) <= EXPLAINED * floor else "unexplained"
+        return "unexplained" if np.exp(self._fronts.cost.min() / 2) > EXPLAINED * floor else "converged"
 
     def start(self) -> Start:
         """Return where and along which axes CMA-ES goes on: at the best front, by the cost's curvature."""
@@ -330,7 +330,7 @@ class LeastSquares(Breeder):
 
 
 def noise_floor(blocks: Sequence[Block]) -> float:
-    """Return the mean NRMSE that noise alone costs [1]."""
+    """Return the mean NRMSE that noise alone costs [1]; NaN where the noise of a block is not known."""
     return sum(block.weight * block.noise for block in blocks)
 
 

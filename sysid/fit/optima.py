@@ -162,7 +162,7 @@ def agreement(
 
 def beside_noise(nrmse: str, floor: float | None) -> str:
     """Return an NRMSE as people read it: beside what noise alone costs [1], where that is known."""
-    return f"NRMSE {nrmse}" + (f" (noise alone: {100 * floor:.2f} %)" if floor else "")
+    return f"NRMSE {nrmse}" + (f" (noise alone: {100 * floor:.2f} %)" if floor and floor > 0 else "")
 
 
 def _good(runs: Sequence[RunHistory], within: float) -> FloatArray:

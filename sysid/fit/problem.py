@@ -35,9 +35,6 @@ from sysid.parallel import Executor
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray, IntArray
 
-# Noise level of a channel whose samples show no noise, over the spread of the channel's signal [1]: the last
-# digit of the log hides the noise.
-ASSUMED_NOISE = 0.02
 # Simulated samples of a population that are in memory at once [bytes].
 _MEMORY = 8e6
 
@@ -277,7 +274,6 @@ class Problem(ABC):
                 stop = start + len(trial.time)
                 spread = float(self.cost.denominators[t, c])
                 level = float(noise[c] / spread)
-                level = level if np.isfinite(level) else ASSUMED_NOISE
                 count = int(np.count_nonzero(trial.valid[:, c]))
                 out.append(Block(t, int(c), start, stop, count, float(weights[c]), spread, level))
                 start = stop

@@ -80,7 +80,7 @@ class Block:
     weight: float
     # Divisor of the NRMSE [unit of the channel].
     spread: float
-    # NRMSE that measurement noise alone costs [1].
+    # NRMSE that measurement noise alone costs [1]; NaN where the noise is not known.
     noise: float
 
 

@@ -14,10 +14,8 @@ and is then known by its name to this package, and to the command line with ``--
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import math
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from numbers import Real
@@ -27,6 +25,7 @@ import numpy as np
 
 from sysid.errors import CampaignError, SysidError, UnitError
 from sysid.landing.settings import IDLE_COMMAND, IMPULSE_COMMAND
+from sysid.plugin import fault_of, run_file
 from sysid.types import FloatArray
 from sysid.units import parse_quantity
 
@@ -207,7 +206,7 @@ def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing
     except SysidError:
         raise
     except Exception as error:
-        raise CampaignError(f"controller {text!r}: {_fault(source, error)}; mend the function") from error
+        raise CampaignError(f"controller {text!r}: {fault_of(source, error)}; mend the function") from error
     for step in steps:
         if not isinstance(step, Step) or not all(
             isinstance(value, Real) for value in (step.after, step.rear, step.front)
@@ -218,17 +217,6 @@ def find_controller(text: str, *, ideal_reversal: bool = False, sensing: Sensing
                 "list of Step(after, rear, front) of numbers"
             )
     return Controller(text, tuple(steps), ideal_reversal, sensing)
-
-
-def _fault(path: Path, error: Exception) -> str:
-    """Say where in a user's file an error came from, and what it is."""
-    file = str(path.absolute())
-    if isinstance(error, SyntaxError) and error.filename == file:
-        return f"{path}, line {error.lineno}: {error.msg}"
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    first = next(iter(str(error).splitlines()), "")
-    what = f"{type(error).__name__}: {first}" if first else type(error).__name__
-    return f"{path}, line {lines[-1]}: {what}" if lines else f"{path}: {what}"
 
 
 def read_number(value: str, unit: str, where: str) -> float:
@@ -248,18 +236,12 @@ def read_number(value: str, unit: str, where: str) -> float:
 def load_controllers(path: Path) -> None:
     """Run a user's Python file that registers controllers; refuse one that cannot be run or has none."""
     before = dict(CONTROLLERS)
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise CampaignError(f"{path}: no Python file; give one that registers a controller")
-    module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
-    except SysidError:
-        raise
-    except Exception as error:
+        run_file(path, "that registers a controller")
+    except Exception:
         CONTROLLERS.clear()
         CONTROLLERS.update(before)
-        raise CampaignError(f"{_fault(path, error)}; mend the file of controllers") from error
+        raise
     if before == CONTROLLERS:
         raise CampaignError(
             f"{path}: registers no controller; decorate a function with sysid.landing.controllers.controller"

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student
 
-from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, undisturbed
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, UNJUDGED, Adequacy, adequacy, undisturbed
 from sysid.fit.problem import Problem
 from sysid.fit.trial import nrmse_of
 from sysid.journal import Say
@@ -191,7 +191,7 @@ def assess(
         judged, noise, linear, without = _judged(problem, walked.best)
         again = walk_profiles(problem, linear, seed)
         walked = replace(again, evaluations=walked.evaluations + again.evaluations)
-    if judged.verdict != EXPLAINED_BY:
+    if judged.verdict not in (EXPLAINED_BY, UNJUDGED):
         others = [linear]
         if wider is not None and len(wider.space.free) > len(start):
             tell("all terms that the model may lack, fitted together")
@@ -214,7 +214,7 @@ def _judged(problem: Problem, start: FloatArray) -> tuple[Adequacy, Linearized, 
     noise = linearize(problem, start)
     judged = _adequacy(problem, noise.point)
     without = leave_one_out(problem, noise) if len(problem.trials) >= FEWEST else None
-    if judged.verdict == EXPLAINED_BY:
+    if judged.verdict in (EXPLAINED_BY, UNJUDGED):
         return judged, noise, noise, without
     points = np.zeros((0, len(start))) if without is None else without.points
     return judged, noise, widened(problem, noise, points), without
@@ -223,7 +223,7 @@ def _judged(problem: Problem, start: FloatArray) -> tuple[Adequacy, Linearized, 
 def linearize_widened(problem: Problem, start: FloatArray) -> Linearized:
     """Go to the minimum near a start; return what noise leaves open there, or misfit if there is any."""
     linear = linearize(problem, start)
-    if _adequacy(problem, linear.point).verdict != EXPLAINED_BY:
+    if _adequacy(problem, linear.point).verdict not in (EXPLAINED_BY, UNJUDGED):
         linear = widened(problem, linear, np.zeros((0, len(linear.point))))
     return linear
 

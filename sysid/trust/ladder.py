@@ -129,7 +129,10 @@ class Climber:
         self.evaluations = 0
         self._found: dict[Term, Mapping[str, float]] = {}
         self._say = say or (lambda sentence: None)
-        self._floors = problem.floors(problem.space.full(start[None])[0])
+        floors = problem.floors(problem.space.full(start[None])[0])
+        # Where the noise is not known, what the fit leaves takes its place.
+        left = nrmse_of(problem.blocks, problem.residuals(start[None])[0])[0]
+        self._floors = np.where(np.isfinite(floors), floors, left)
         self._problem, self._start = problem, start
         self._kept = stated_columns(problem, start)
 

@@ -48,7 +48,9 @@ def scales(problem: Problem, blocks: Sequence[Block], levels: FloatArray) -> Flo
         weights = np.array([block.weight for block in blocks])
         out[stop:] = np.sqrt(weights @ np.maximum(levels, LEAST_NRMSE) / problem.independent)
     for block, level in zip(blocks, levels, strict=True):
-        out[block.start : block.stop] = np.sqrt(block.weight / (block.count * max(level, LEAST_NRMSE)))
+        # A block of unknown noise (NaN) weighs nothing.
+        scale = np.sqrt(block.weight / (block.count * max(level, LEAST_NRMSE)))
+        out[block.start : block.stop] = np.nan_to_num(scale)
     return out
 
 

@@ -31,8 +31,8 @@ _JUDGED = 6
 def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearized:
     """Return what noise, correlated like `noise`, would leave open at a point (n_free,) of the unit cube."""
     floor = np.array([block.noise for block in problem.blocks])
-    scale = scales(problem, problem.blocks, floor)
-    weight = sum(block.weight * block.noise for block in problem.blocks)
+    scale, floor = scales(problem, problem.blocks, floor), np.nan_to_num(floor)
+    weight = sum(block.weight * level for block, level in zip(problem.blocks, floor, strict=True))
     sample = float(np.sqrt(weight / sum(block.count for block in problem.blocks)))
     return linearized(problem, point, floor, scale, sample, noise, problem.disturbances(point))
 
@@ -77,8 +77,18 @@ def nominal_point(space: SearchSpace) -> FloatArray:
     return np.clip(space.encode(nominal), 0.02, 0.98)
 
 
+def any_noise(problem: Problem) -> bool:
+    """Return whether the noise of a channel is known."""
+    return bool(np.isfinite([block.noise for block in problem.blocks]).any())
+
+
 def quick_expectations(problem: Problem) -> tuple[Expected, ...]:
-    """Return what trials are expected to determine at the default values; takes a second."""
+    """Return what trials are expected to determine at the default values; takes a second.
+
+    Nothing is expected where no noise is known.
+    """
+    if not any_noise(problem):
+        return ()
     noise = problem.correlation()
     return expectations(problem, nominal_point(problem.space), noise)[1]
 
@@ -152,8 +162,8 @@ def _with_each(problem: Problem, view: Linearized, others: Problem) -> FloatArra
     # Weighted as a trial of the campaign.
     count, common = len(others.trials), problem.common
     blocks = [replace(b, weight=b.weight * count / len(problem.trials)) for b in others.blocks]
-    scale = scales(others, blocks, levels)
-    weight = sum(block.weight * max(block.noise, 1e-9) for block in others.blocks)
+    scale, levels = scales(others, blocks, levels), np.nan_to_num(levels)
+    weight = sum(b.weight * max(level, 1e-9) for b, level in zip(others.blocks, levels, strict=True))
     sample = float(np.sqrt(weight / sum(block.count for block in others.blocks)))
     derived = jacobian(others, view.point, scale, sample).values
     changes = others.disturbances(view.point)

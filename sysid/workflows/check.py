@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from sysid.fit.kind import Kind
 from sysid.fit.problem import Problem
 from sysid.fit.provenance import CampaignFile
+from sysid.fit.story import Story
 from sysid.journal import Journal, Say
 from sysid.trust.documents import CandidateRecording, CheckDocument, Expected, ExpectedParameter
 from sysid.trust.linearized import Linearized
 from sysid.trust.sensitivity import (
+    any_noise,
     drawn_outlooks,
     expectations,
     information_by_channel,
@@ -26,6 +29,12 @@ from sysid.workflows.kinds import naming_campaign, open_campaign
 
 # Candidates that are named.
 _NAMED = 3
+_NOTHING_EXPECTED: dict[str, Any] = {
+    "parameters": [],
+    "limits": {"well": WELL, "weakly": WEAKLY},
+    "candidates": [],
+    "sentences": ["the noise of the channels is not known, so nothing is expected of the trials; state it"],
+}
 
 
 def check_campaign(
@@ -51,19 +60,8 @@ def check_campaign(
             seen |= story.about()
             story.tell_stated()
             problem = whole.fitted.exact
-            noise = problem.correlation()
-            drawn = drawn_outlooks(problem, noise)
-            view, expected = expectations(problem, nominal_point(problem.space), noise, drawn)
-            weak = np.array([row.verdict != "well" for row in expected])
-            candidates: list[CandidateRecording] = []
-            if weak.any():
-                made = kind.candidates(problem, problem.space.full(view.point[None])[0])
-                if made is not None:
-                    candidates = rank_candidates(problem, view, made[0], tuple(made[1]), weak, drawn)
-            out = _verdicts(problem, view, expected, candidates, kind.words.single)
-            out["sentences"] += better_measured(problem.space, view, story.keys)
-            out["sentences"] += story.advice([row.name for row in expected if row.verdict != "well"])
-            out |= {**seen, "excitation": story.excitation()}
+            out = _expected(problem, kind, story) if any_noise(problem) else _NOTHING_EXPECTED
+            out = {**out, **seen, "excitation": story.excitation()}
             warnings = journal.sentences()
     return CheckDocument(
         campaign=CampaignFile(file=path.name, sha256=campaign.source.sha256, name=campaign.name),
@@ -72,6 +70,23 @@ def check_campaign(
         seconds=time.perf_counter() - began,
         **out,
     )
+
+
+def _expected(problem: Problem, kind: Kind, story: Story[Any]) -> dict[str, Any]:
+    """Return what the trials will determine, what to record next, and that in sentences."""
+    noise = problem.correlation()
+    drawn = drawn_outlooks(problem, noise)
+    view, expected = expectations(problem, nominal_point(problem.space), noise, drawn)
+    weak = np.array([row.verdict != "well" for row in expected])
+    candidates: list[CandidateRecording] = []
+    if weak.any():
+        made = kind.candidates(problem, problem.space.full(view.point[None])[0])
+        if made is not None:
+            candidates = rank_candidates(problem, view, made[0], tuple(made[1]), weak, drawn)
+    out = _verdicts(problem, view, expected, candidates, kind.words.single)
+    out["sentences"] += better_measured(problem.space, view, story.keys)
+    out["sentences"] += story.advice([row.name for row in expected if row.verdict != "well"])
+    return out
 
 
 def _verdicts(

@@ -16,7 +16,7 @@ import numpy as np
 from sysid.errors import FitError
 from sysid.export import read_judged_fit
 from sysid.fit.kind import Kind, Words
-from sysid.fit.problem import ASSUMED_NOISE, Problem, computed_by
+from sysid.fit.problem import Problem, computed_by
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder
 from sysid.fit.story import Story
@@ -172,7 +172,7 @@ def validate_fit(
         predicted = predict(result, kind, whole.only(unseen(result, whole, campaign_path)))
         problem = predicted.problem
         journal.fold(len(problem.trials))
-        _notice_assumed(problem)
+        _notice_unjudged(problem)
         judged = [predicted.judge(t, slice(None), predicted.floor) for t in range(len(problem.trials))]
         _notice_unlike(judged, kind.words)
         stated = stated_campaign(problem.campaign.source, folder)
@@ -212,7 +212,7 @@ def _notice_unlike(judged: list[JudgedTrial], words: Words) -> None:
         )
 
 
-def _notice_assumed(problem: Problem) -> None:
+def _notice_unjudged(problem: Problem) -> None:
     noise = problem.noise
     silent = [
         f"{problem.trials[block.trial].name} ({problem.channels[block.channel]})"
@@ -222,8 +222,7 @@ def _notice_assumed(problem: Problem) -> None:
     if silent:
         notice(
             "no-noise-shown",
-            f"{', '.join(silent)}: the log shows no noise at its resolution, so a noise of "
-            f"{100 * ASSUMED_NOISE:g} % NRMSE is assumed; smaller differences are not judged",
+            f"{', '.join(silent)}: the noise is not known, so the predictions of these are not judged",
         )
 
 
@@ -244,7 +243,7 @@ def cross_validate(
         result, problem = opened.result, opened.problem
         journal.noun = opened.kind.words.trials
         journal.fold(len(opened.whole.trials))
-        _notice_assumed(problem)
+        _notice_unjudged(problem)
         if len(problem.trials) < 2:
             raise FitError(f"{folder}: a single trial was fitted; leaving it out leaves nothing")
         with executor(dask, 2) as where:

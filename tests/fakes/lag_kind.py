@@ -61,6 +61,10 @@ class LagProblem(Problem):
         targets = [TrialTarget(trial.name, trial.measured) for trial in self.trials]
         return FilteredNrmse(targets, [CostChannel("speed", "rad/s", 0)], self.campaign.cost.denominator)
 
+    @property
+    def noise(self):
+        return np.full((len(self.trials), 1), NOISE)
+
     def only(self, names):
         return replace(self, logs_read=tuple(log for log in self.logs_read if log[0].name in names))
 
@@ -85,6 +89,8 @@ def open_lag(campaign, path, threads):
 
 TRUE = {"gain": 3.0, "time_constant": 0.15}
 SIGMA = 0.02
+# What the kind says of the noise [rad/s]; NaN: nothing.
+NOISE = SIGMA
 SEARCH = "runs = 2\npopulation = 24\nmax_generations = 40\n"
 
 

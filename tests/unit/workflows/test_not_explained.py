@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from fakes import lag_kind
 from fakes.lag_kind import write_lag
 from sysid.api import load_fit
 from sysid.errors import SysidWarning
-from sysid.fit import problem
 from sysid.trust import influence
 from sysid.trust.documents import TrustDocument
 from sysid.workflows import fit as walk
@@ -53,7 +53,7 @@ def test_no_trial_is_to_be_dropped_before_the_terms_were_tried(fit, monkeypatch)
 def test_a_spread_of_the_sets_is_stated_where_no_interval_is_and_noise_explains(
     fit, monkeypatch, noise, trust, ranges
 ):
-    monkeypatch.setattr(problem, "ASSUMED_NOISE", noise)
+    monkeypatch.setattr(lag_kind, "NOISE", noise)
     asked = []
     monkeypatch.setattr(walk, "loose_findings", lambda *given: asked.append(given[-1]) or ())
     fit(trust=trust)

@@ -1,0 +1,176 @@
+"""A model of one's own: fits, judgements and commands, and what a function may do wrong."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import sysid
+from sysid.workflows.kinds import open_campaign
+
+TIME = np.arange(200) / 200
+SIGMA = 0.01
+PARAMETERS = {"rate": (0.1, 10.0, "1/s"), "start": (0.1, 5.0, "V")}
+SMALL = {"runs": 1, "population": 16, "max_generations": 20}
+SOURCE = """import numpy as np
+import sysid
+def simulate(values, time, trial):
+    return values["start"] * np.exp(-values["rate"] * time)
+sysid.model("decay_file", simulate, channels={"level": "V"},
+            parameters={"rate": (0.1, 10.0, "1/s"), "start": (0.1, 5.0, "V")})
+"""
+
+
+def decay(values, time, trial):
+    return values["start"] * np.exp(-values["rate"] * time)
+
+
+def table(rate=3.0, seed=1, noise=SIGMA):
+    level = 2.0 * np.exp(-rate * TIME) + noise * np.random.default_rng(seed).standard_normal(len(TIME))
+    return pd.DataFrame({"level": level}, index=TIME)
+
+
+def made(simulate=decay, **changed):
+    given = {"parameters": PARAMETERS, "channels": {"level": "V"}} | changed
+    return sysid.model("decay_tested", simulate, **given)
+
+
+def campaign(simulate=decay, noise=None, **changed):
+    return made(simulate, **changed).campaign({"a": table(), "b": table(seed=2)}, validate=["b"], noise=noise)
+
+
+def test_the_true_model_is_explained_by_the_noise_that_its_logs_show():
+    trials = campaign()
+    assert set(trials.check().table.verdict) == {"well"}
+    fit = sysid.fit_campaign(trials, **SMALL)
+    assert fit.result.provenance["adequacy"]["verdict"] == "explained"
+    assert fit.result.provenance["adequacy"]["channels"][0]["ratio"] == pytest.approx(1.0, abs=0.15)
+    assert fit.table.loc["rate", "interval_low"] < 3.0 < fit.table.loc["rate", "interval_high"]
+    assert sysid.validate(fit, trials).table.loc["b", "verdict"] == "within the noise"
+    assert fit.sets.best["start"] == pytest.approx(2.0, rel=0.01)
+
+
+def test_a_noise_that_is_not_known_judges_nothing_and_a_stated_one_counts():
+    quiet = made().campaign({"a": table(noise=0.0).round(1)})
+    assert quiet.check().table.empty
+    assert "noise" in quiet.check().sentences[0]
+    fit = sysid.fit_campaign(quiet, **SMALL)
+    assert fit.verdict.startswith("not judged, NRMSE")
+    assert "noise alone" not in fit.verdict
+    assert fit.table.loc["rate", "interval_low"] < fit.table.loc["rate", "interval_high"]
+    stated = made().campaign({"a": table(noise=0.0).round(1)}, noise={"level": "50 mV"})
+    fit = sysid.fit_campaign(stated, trust=False, **SMALL)
+    assert fit.result.provenance["adequacy"]["verdict"] == "explained"
+
+
+def test_vectorized_and_one_by_one_are_the_same_numbers():
+    rows = np.array([[3.0, 2.0], [1.0, 0.5], [9.0, 4.0]])
+    problems = [
+        kind.open(read, trials.path, 1)
+        for flag in (False, True)
+        for trials in [campaign(vectorized=flag)]
+        for kind, read, _ in [open_campaign(trials.path)]
+    ]
+    one, many = (problem.predict(rows) for problem in problems)
+    assert np.array_equal(one.by_channel, many.by_channel)
+    alone = problems[0].predict(rows[1:2])
+    assert np.array_equal(alone.by_channel[0], one.by_channel[1])
+
+
+def test_each_trial_has_its_own_number_and_reads_its_inputs():
+    def scaled(values, time, trial):
+        return trial["gain"] * values["start"] * np.exp(-values["rate"] * (time + trial["lag"]))
+
+    parameters = {"rate": (0.1, 10.0, "1/s"), "start": (0.1, 5.0, "V", "each trial")}
+    owner = made(scaled, parameters=parameters, inputs={"gain": "1", "lag": "s"})
+    half, full = table(), table(seed=2).assign(lag=0.0)
+    inputs = {"half": {"gain": 0.5, "lag": "0 ms"}, "full": {"gain": 1}}
+    fit = sysid.fit_campaign(
+        owner.campaign({"half": half, "full": full}, inputs=inputs), trust=False, **SMALL
+    )
+    assert fit.sets.best["start[half]"] == pytest.approx(4.0, rel=0.02)
+    assert fit.sets.best["start[full]"] == pytest.approx(2.0, rel=0.02)
+
+
+def test_failures_are_counted_and_their_first_message_is_told():
+    def fragile(values, time, trial):
+        if values["rate"] > 6.0:
+            raise ArithmeticError("too stiff")
+        return decay(values, time, trial) + (np.nan if values["start"] > 4.0 else 0.0)
+
+    fit = sysid.fit_campaign(campaign(fragile), trust=False, **SMALL)
+    counts = fit.result.provenance["failures"]
+    assert counts["simulate raised an exception"] > 0
+    assert counts["simulate returned NaN or infinity"] > 0
+    (told,) = (line for line in fit.warnings if "too stiff" in line)
+    assert "ArithmeticError: too stiff, test_own_model.py line" in told
+    assert fit.sets.best["rate"] == pytest.approx(3.0, rel=0.02)
+
+
+def endless(values, time, trial):
+    while True:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("simulate", "words"),
+    [
+        (lambda v, t, trial: np.zeros((len(t), 2)), "returned an array (200, 2) for a; expected (200, 1)"),
+        (lambda v, t, trial: v["start"] * t * np.nan, "simulate returned NaN or infinity on a at rate"),
+        (lambda v, t, trial: v["start"] * t, "no sample moves with rate; simulate must read values['rate']"),
+        (lambda v, t, trial: v["length"] * t, "raised an exception (KeyError: 'length', test_own_model.py"),
+        (endless, "did not end in time (still ran after 0.2 s)"),
+    ],
+)
+def test_a_function_that_cannot_be_fitted_is_refused_in_a_sentence(simulate, words):
+    with pytest.raises(sysid.SysidError) as refusal:
+        sysid.fit_campaign(campaign(simulate, patience=0.2), **SMALL)
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"parameters": {"rate": (0.1, 10, "1/min")}}, "'1/min' is no SI unit"),
+        ({"parameters": {"rate": (0.1, 10)}}, "expected (lower, upper, 'unit')"),
+        ({"parameters": {"rate": (10, 0.1, "1/s")}}, "lower bound 10 1/s is not below"),
+        ({"parameters": {"rate": (1, 2, "1/s", "term")}}, "a term is absent at 0"),
+        ({"parameters": {"rate": (1, 2, "blub")}}, "unknown unit 'blub'"),
+        ({"channels": {"level": "mV"}}, "'mV' is no SI unit"),
+        ({"simulate": 3}, "expected a function of values, time, trial"),
+    ],
+)
+def test_what_declares_no_model_is_refused_in_a_sentence(changed, words):
+    with pytest.raises(sysid.SysidError) as refusal:
+        made(**changed)
+    assert words in str(refusal.value)
+
+
+def test_logs_that_lack_a_column_or_its_unit_are_refused(tmp_path):
+    for text, words in (
+        ("time [s],height [V]\n0,1\n1,2\n2,3\n", "no column 'level'"),
+        ("time [s],level\n0,1\n1,2\n2,3\n", "states no unit"),
+        ("time [s],level [m]\n0,1\n1,2\n2,3\n", "is not a 'V'"),
+        ("time [s],level [V]\n0,1\n2,2\n1,3\n", "time does not increase"),
+    ):
+        (tmp_path / "log.csv").write_text(text, encoding="utf-8")
+        with pytest.raises(sysid.SysidError, match=r"log\.csv") as refusal:
+            made().campaign({"a": tmp_path / "log.csv"}, tmp_path / "campaign").check()
+        assert words in str(refusal.value)
+
+
+def test_the_commands_take_a_file_with_a_model(tmp_path, run, refused, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "decay.py").write_text(SOURCE, encoding="utf-8")
+    frame = table().rename_axis("time [s]").rename(columns={"level": "level [V]"})
+    frame.to_csv(tmp_path / "a.csv")
+    (tmp_path / "decay.toml").write_text(
+        'kind = "decay_file"\nname = "d"\n[[trials]]\nname = "a"\nlog = "a.csv"\n', encoding="utf-8"
+    )
+    refused("--plugin names the Python file", "check", "decay.toml")
+    small = ("--runs", "1", "--population", "16", "--max-generations", "9", "--quiet")
+    assert run("fit", "decay.toml", *small, "--plugin", "decay.py")[0] == 0
+    assert "rate" in run("show", "fits/d")[1]
+    assert run("report", "fits/d", "--quiet")[0] == 0
+    assert run("export", "fits/d", "--out", "d.csv")[0] == 0
+    refused("no Python file", "check", "decay.toml", "--plugin", "none.py")
