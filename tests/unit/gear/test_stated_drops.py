@@ -13,9 +13,9 @@ from sysid.workflows.kinds import find_kind, open_campaign
 DROPS = tuple(DropPlan(math.radians(slope), 0.6) for slope in (10, 20, 30))
 
 
-def opened(path, exact=False):
+def opened(path, **exact):
     """The fitted drops of a campaign, as trust simulates them."""
-    _, campaign, _ = open_campaign(path, "gear", law={"exact": exact})
+    _, campaign, _ = open_campaign(path, "gear", law=exact)
     return find_kind("gear").open(campaign, path, 1).fitted.exact
 
 
