@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import FitError
-from sysid.fit.adequacy import NOT_BY, misfit_finding
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, adequacy, misfit_finding
 from sysid.fit.kind import Words
-from sysid.fit.problem import computed_by
+from sysid.fit.problem import Problem, computed_by
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_texts
 from sysid.journal import Finding, Journal, Say, notice
@@ -50,6 +50,8 @@ _STATEMENT = (
 )
 # Least distance of the best set from the minimum that is worth a word [standard deviations].
 _MOVED = 2.0
+# Least misfit of a bad trial as the fit of the others predicts it [noise].
+_UNLIKE = 3.0
 
 
 def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = None) -> TrustDocument:
@@ -96,7 +98,10 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     rows = _parameters(opened.result, space, assessed, story.keys)
     # Why the interval of a parameter may miss the truth, by its name.
     doubts: dict[str, list[str]] = {row.name: [] for row in rows}
-    _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks)
+    bad = _bad_trial(problem, assessed) if lacks and assessed.without is not None else None
+    if bad is not None:
+        journal.add(bad)
+    _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks and not bad)
     record = opened.result.provenance
     same_file = record.get("campaign", {}).get("sha256") == opened.stated["sha256"]
     findings = record.get("findings", ()) if same_file else ()
@@ -145,6 +150,31 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         seconds=time.perf_counter() - began,
     )
     return document, _arrays(space, assessed)
+
+
+def _bad_trial(problem: Problem, assessed: Assessment) -> Finding | None:
+    """Return that one trial alone is what noise does not explain; None where none is, or several are."""
+    found = []
+    for t, name in enumerate(problem.names):
+        if assessed.without is None or not np.isfinite(assessed.without.squares[t]):
+            continue
+        others = problem.only([other for other in problem.names if other != name])
+        row = problem.space.full(assessed.without.points[t][None])[0]
+        left = adequacy(others, row)
+        own = adequacy(problem.only([name]), row)
+        if left.verdict == EXPLAINED_BY and own.misfit.channel_ratio > _UNLIKE:
+            found.append((name, left))
+    if len(found) != 1:
+        return None
+    ((name, left),) = found
+    before = assessed.adequacy
+    return Finding(
+        "bad-trial",
+        f"the others fit without {name}: {max(before.ratio, before.misfit.channel_ratio):.2f} × the noise in "
+        f"the worst channel falls to {max(left.ratio, left.misfit.channel_ratio):.2f} ×; look at that log, "
+        'repeat it, or fit without it (use = "validate")',
+        size=before.ratio,
+    )
 
 
 def _doubtful(

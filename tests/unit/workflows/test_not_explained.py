@@ -1,5 +1,6 @@
 """A model that lacks something, from the end of its fit to its exports: what is said of it, and how often."""
 
+import json
 from types import SimpleNamespace
 
 import pytest
@@ -45,6 +46,21 @@ def test_no_trial_is_to_be_dropped_before_the_terms_were_tried(fit, monkeypatch)
     for line in lines:
         assert line.endswith("; a term that the model lacks does that: try sysid ladder first")
         assert "validate" not in line
+
+
+@pytest.mark.parametrize("bad", [1, None])
+def test_one_bad_trial_is_named_and_right_ones_are_not(tmp_path, monkeypatch, bad):
+    monkeypatch.setattr(problem, "ASSUMED_NOISE", 0.04)
+    path = write_lag(tmp_path, names=tuple(f"step-{k}" for k in range(6)))
+    if bad is not None:
+        log = tmp_path / f"{bad}.json"
+        time, speed = json.loads(log.read_text("utf-8"))
+        log.write_text(json.dumps([time, [1.3 * value for value in speed]]), "utf-8")
+    heard = []
+    walk.fit_campaign(path, FitOptions(out=tmp_path / "fit", quiet=True), say=heard.append)
+    accused = [line for line in heard if "the others fit without" in line]
+    assert len(accused) == (bad is not None)
+    assert all("the others fit without step-1: " in line and "measure" not in line for line in accused)
 
 
 @pytest.mark.parametrize(
