@@ -49,8 +49,7 @@ def test_no_trial_is_to_be_dropped_before_the_terms_were_tried(fit, monkeypatch)
 
 
 @pytest.mark.parametrize("bad", [1, None])
-def test_one_bad_trial_is_named_and_right_ones_are_not(tmp_path, monkeypatch, bad):
-    monkeypatch.setattr(problem, "ASSUMED_NOISE", 0.04)
+def test_one_bad_trial_is_named_and_right_ones_are_not(tmp_path, bad):
     path = write_lag(tmp_path, names=tuple(f"step-{k}" for k in range(6)))
     if bad is not None:
         log = tmp_path / f"{bad}.json"
