@@ -44,7 +44,7 @@ def fit_motor(campaign: CampaignPath, options: FitOptions, strict: Strict = Fals
 
 @command(app, "fit", "sysid fit data_samples/motor")
 def fit(campaign: CampaignPath, options: FitOptions, strict: Strict = False, json: Json = False) -> int:
-    """Fit the model of a campaign's kind: a gear, a motor, or a model of your own.
+    """Fit the model that a campaign names: gear, motor or own.
 
     A model of your own is in a Python file that --plugin names, before or behind any command.
     """

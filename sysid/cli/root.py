@@ -15,7 +15,7 @@ from sysid.errors import printable
 GROUPS = {
     "Start": ("demo", "new-campaign", "synthesize"),
     "Look": ("inspect", "convert", "formats", "reversal-time"),
-    "Fit": ("check", "fit-motor", "fit-gear", "fits", "show", "report"),
+    "Fit": ("check", "fit", "fit-motor", "fit-gear", "fits", "show", "report"),
     "Trust": ("trust", "validate", "cross-validate", "compare", "ladder"),
     "Use": (
         "export", "simulate", "static-limits", "landing-map", "impulse-map", "design-study", "schema",

@@ -56,6 +56,7 @@ def register(kind: Kind, report: str = _ANY_REPORT) -> None:
     ...     space: object
     ...     prepared: tuple
     ...     trials = property(lambda self: self.prepared)
+    ...     noise = property(lambda self: np.full((len(self.trials), 1), 0.01))
     ...     @cached_property
     ...     def cost(self):
     ...         targets = [TrialTarget(trial.name, trial.measured) for trial in self.trials]

@@ -79,9 +79,9 @@ def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
     sentences = journal.sentences()
     assert len(sentences) == 3
     of_drops = [
-        word for word in ("bounce", "start_time", "slope") if any(word in sentence for sentence in sentences)
+        word for word in ("bounce", "release", "slope") if any(word in sentence for sentence in sentences)
     ]
-    assert of_drops == (["bounce", "start_time", "slope"] if kind == "gear" else [])
+    assert of_drops == (["bounce", "release", "slope"] if kind == "gear" else [])
 
 
 def test_two_ratios_of_one_channel_say_what_parts_them():

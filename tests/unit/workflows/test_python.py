@@ -179,7 +179,7 @@ def test_ctrl_c_keeps_what_was_found_and_progress_is_heard(lag, capsys):
         if line.startswith("run 1/"):
             signal.raise_signal(signal.SIGINT)
 
-    fit = sysid.fit_campaign(lag[0], progress=stop)
+    fit = sysid.fit_campaign(lag[0], runs=50, progress=stop)
     assert fit.result.state == "stopped"
     assert fit.table.loc["gain", "value"] == pytest.approx(TRUE["gain"], rel=0.01)
     assert any("3 trials to fit" in line for line in lines)
