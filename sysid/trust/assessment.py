@@ -21,7 +21,7 @@ goes when all terms that its kind declares are fitted as well, with what stays o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -126,6 +126,19 @@ def refit(
     for name in ("points", "squares", "converged"):
         getattr(first, name)[left] = getattr(more, name)
     return replace(first, evaluations=first.evaluations + more.evaluations)
+
+
+def explained_without(problem: Problem, linear: Linearized, names: Collection[str]) -> bool:
+    """Return whether noise explains the trials, roughly at least, where nothing is stated of these values."""
+    stop, places = problem.blocks[-1].stop, [*problem.space.stated]
+    weights = np.ones((1, len(linear.scale)))
+    weights[:, [stop + places.index(name) for name in names]] = 0.0
+    freed = solve(
+        problem, linear.point[None], linear.scale, rise=linear.jacobian.rise,
+        curvature=linear.information.curvature, tolerance=linear.tolerance, iterations=2 * _ITERATIONS,
+        weights=lambda part: weights[part],
+    )  # fmt: skip
+    return adequacy(problem, problem.space.full(freed.points)[0]).verdict != NOT_BY
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from sysid.fit.store import fit_texts
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import Parameter, SearchSpace, about, in_words
-from sysid.trust.assessment import FEWEST, Assessment, assess
+from sysid.trust.assessment import FEWEST, Assessment, assess, explained_without
 from sysid.trust.documents import (
     Arrays,
     Bootstrap,
@@ -111,6 +111,10 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         same = said.get(finding.code) if not finding.trials else None
         journal.add(replace(finding, sentence=same or finding.sentence))
     stated = stated_values(space, assessed.noise)
+    wrong = [row.name for row in stated if row.contradicted]
+    if lacks and wrong and not explained_without(problem, assessed.noise, wrong):
+        # What misfit is left points to physics, or to a trial, which pull at what is stated.
+        stated = [row.model_copy(update={"contradicted": False}) for row in stated]
     for finding in contradictions(stated, space):
         journal.add(finding)
     for row in rows if lacks else ():
