@@ -233,7 +233,9 @@ def test_leaving_drops_out_predicts_them(fit):
     assert [one.name for one in found.trials] == ["drop-1", "drop-3", "drop-5"]
     # The right model, but two drops to fit it: what they leave open adds to the noise.
     assert 0.9 < found.ratio < 2.0
-    assert len(found.trials[0].refit) == 8
+    # Eight parameters and fourteen stated values, of which the slope of the left-out drop is as stated.
+    assert len(found.trials[0].refit) == 22
+    assert found.trials[0].refit["slope[drop-1]"] == math.radians(5)
 
 
 def _plan(slope_deg, speed):
