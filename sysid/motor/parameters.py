@@ -123,7 +123,12 @@ PARAMETERS = ParameterTable(
             )
         ),
     ],
-    derived=("k2_over_R", "R_over_L", "k_I_sat", "electromechanical_time_constant"),
+    derived=(
+        "k2_over_R", "R_over_L", "k_I_sat", "electromechanical_time_constant",
+        # Shares of measured curves that a fit may move (`sysid.motor.static_curves.MeasuredCurve`).
+        *(f"{curve}_{place}_{way}" for curve in ("no_load_line", "torque_curve")
+          for place in ("top", "middle") for way in ("forward", "reverse")),
+    ),
 )  # fmt: skip
 
 FREE_DEFAULT = ("winding_resistance", "winding_inductance", "viscous_damping")

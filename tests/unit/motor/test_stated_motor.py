@@ -10,6 +10,7 @@ from fakes.lab import MOTOR_LAB, misstated, scaled
 from fakes.motor_bench import bench_of, edited, problem_of
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
+from sysid.motor.model import PARAMETERS, thrust
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 from sysid.workflows.check import check_campaign
 
@@ -202,3 +203,13 @@ def test_the_dead_band_states_no_error(path):
 def test_a_lab_states_what_it_draws(path):
     lab = misstated(path.with_name("campaign.toml"), 1, name="lab.toml", errors=MOTOR_LAB)
     assert len(re.findall(" ± ", lab.read_text(encoding="utf-8"))) == len(MOTOR_LAB)
+
+
+def test_a_set_with_moved_curves_drives_the_motor_model(path):
+    problem = problem_of(*bench_of(path))
+    (row,) = row_of(problem)
+    values = dict(zip(problem.space.table, row.tolist(), strict=True))
+    assert {*CURVES} <= {*values}
+    expected = PARAMETERS.filled({name: value for name, value in values.items() if name in PARAMETERS})
+    assert PARAMETERS.filled(values) == expected
+    assert thrust(800.0, values) > 1.0
