@@ -38,8 +38,10 @@ def _slope_on_earth(value: float) -> float:
     return value
 
 
+# Standard error of a slope that states none.
+SLOPE_ERROR = "0.2 deg"
 Slope = Annotated[
-    float, AfterValidator(_slope_on_earth), Measured("rad", "0.2 deg", "inclinometer on the board")
+    float, AfterValidator(_slope_on_earth), Measured("rad", SLOPE_ERROR, "inclinometer on the board")
 ]
 _FootDistance = Annotated[float, Field(gt=0), Measured("m", "1 mm", "ruler from the centre of mass")]
 

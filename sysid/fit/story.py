@@ -60,7 +60,8 @@ class Story(Generic[P]):
         if own := [key for key, assumed in errors.items() if not assumed]:
             tell(f"fitted within their errors as well: {', '.join(own)}")
         if typical := [f"{key} {assumed}" for key, assumed in errors.items() if assumed]:
-            tell(f"assumed errors, within which these are fitted: {', '.join(typical)}; state your own (±)")
+            advice = "state your own, as in '1.24 kg ± 2 g'"
+            tell(f"assumed errors, within which these are fitted: {', '.join(typical)}; {advice}")
 
     # --- sysid check ----------------------------------------------------------------------------------------
 

@@ -83,7 +83,7 @@ def named_table(
     clock: Column | None,
     *others: Column,
 ) -> tuple[RawTable, Numbers]:
-    """Return a table of signals, and the numbers of its rows, among them those of `others`.
+    """Return a table of signals, and the numbers of its rows, the columns `others` included.
 
     `found` has for each channel its column, its SI unit, and the unit of a column that states none. Rows
     without a clock and a declared rate are points, which are counted.

@@ -73,6 +73,11 @@ def instrument_rows() -> list[Parameter]:
     ]
 
 
+def curve_factor(curve: str, place: str, direction: str) -> str:
+    """Return the name of the factor on a measured static curve; see `static_curves.MeasuredCurve`."""
+    return f"{curve}_{place}_{direction}"
+
+
 PARAMETERS = ParameterTable(
     [
         Parameter("winding_resistance", "R", "Ω", 0.299, 0.05, 2.0, "log",
@@ -125,8 +130,7 @@ PARAMETERS = ParameterTable(
     ],
     derived=(
         "k2_over_R", "R_over_L", "k_I_sat", "electromechanical_time_constant",
-        # Shares of measured curves that a fit may move (`sysid.motor.static_curves.MeasuredCurve`).
-        *(f"{curve}_{place}_{way}" for curve in ("no_load_line", "torque_curve")
+        *(curve_factor(curve, place, way) for curve in ("no_load_line", "torque_curve")
           for place in ("top", "middle") for way in ("forward", "reverse")),
     ),
 )  # fmt: skip

@@ -19,6 +19,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from sysid.errors import FitError
+from sysid.motor.parameters import curve_factor
 from sysid.parameters import Parameter
 from sysid.types import BoolArray, FloatArray, IntArray, Rotation
 
@@ -134,7 +135,7 @@ class MeasuredCurve:
         """Return a curve whose points reach to `top` [rad/s] or [1]; None where its errors are not known."""
         if fit.points < 3:
             return None
-        # The scatter of few points is itself uncertain, so the tails are those of Student's t.
+        # The scatter of few points is itself uncertain, so its tails follow Student's t.
         wider = float(student.isf(_RARE, fit.points - 2) / norm.isf(_RARE))
         left, rows, errors, changes = wider**2 * fit.covariance, [], [], []
         name, symbol = ("no_load_line", "Ω_0") if fit.quantity == "no_load" else ("torque_curve", "τ")
@@ -149,8 +150,8 @@ class MeasuredCurve:
             errors.append(float(np.sqrt(spread)) / abs(value))
             rows.append(
                 Parameter(
-                    f"{name}_{place}_{fit.direction}", f"{symbol} {fit.direction}, {place}", "1", 1.0, 0.0,
-                    2.0, "linear", f"Factor on the measured static curve, {words}.", "static logs",
+                    curve_factor(name, place, fit.direction), f"{symbol} {fit.direction}, {place}", "1", 1.0,
+                    0.0, 2.0, "linear", f"Factor on the measured static curve, {words}.", "static logs",
                     MEASURED_CURVE,
                 )
             )  # fmt: skip

@@ -130,7 +130,7 @@ class Climber:
         self._found: dict[Term, Mapping[str, float]] = {}
         self._say = say or (lambda sentence: None)
         floors = problem.floors(problem.space.full(start[None])[0])
-        # Where the noise is not known, what the fit leaves takes its place.
+        # A channel of unknown noise is judged by the residuals of the fit instead.
         left = nrmse_of(problem.blocks, problem.residuals(start[None])[0])[0]
         self._floors = np.where(np.isfinite(floors), floors, left)
         self._problem, self._start = problem, start

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Environment, PackageLoader
 
+from sysid.campaign.gear import SLOPE_ERROR
 from sysid.campaign.logs import load_stated
 from sysid.errors import CampaignError, SysidError
 from sysid.loaders import formats
@@ -40,7 +41,7 @@ _NO_THRUST = 0.02
 _TODO = "TODO"
 # Row of a campaign that is written without logs.
 _BLANK = {
-    "name": "trial-1", "file": f"{_TODO}.csv", "slope": f"{_TODO} ± 0.2 deg", "direction": _TODO,
+    "name": "trial-1", "file": f"{_TODO}.csv", "slope": f"{_TODO} ± {SLOPE_ERROR}", "direction": _TODO,
     "points": "",
 }  # fmt: skip
 
@@ -113,7 +114,7 @@ def write_new_campaign(
 
 
 def _content(kind: str, path: Path, reports: Sequence[LogReport], ways: Sequence[str]) -> dict[str, object]:
-    """Return what the template of a kind is filled with; `ways` of the reports are those of `_one_way`."""
+    """Return what the template of a kind is filled with; `ways` has what `_one_way` says of each report."""
     drops = [report.drop for report in reports if report.drop is not None]
     most = max((_span(report, "thrust") for report in reports), default=0.0)
     units = {channel.unit for report in reports for channel in report.channels if channel.name == "command"}
@@ -133,7 +134,7 @@ def _content(kind: str, path: Path, reports: Sequence[LogReport], ways: Sequence
         logs.append({
             "name": source.stem,
             "file": Path(os.path.relpath(source, path.parent)).as_posix(),
-            "slope": f"{_TODO if slope is None else f'{math.degrees(slope):.1f}'} ± 0.2 deg",
+            "slope": f"{_TODO if slope is None else f'{math.degrees(slope):.1f}'} ± {SLOPE_ERROR}",
             "direction": way or ("reversal" if both else "forward"),
             "points": curve if report.kind == "static-map" else "",
         })  # fmt: skip
@@ -166,8 +167,8 @@ def _one_way(recording: Recording) -> str:
     command = recording.channels.get("command")
     if command is None or command.unit not in _RANGES or not command.valid.any():
         return ""
-    levels, (_, rest, full) = command.values[command.valid], _RANGES[command.unit].values()
-    near = _NEAR_REST * (full - rest)
+    levels, ends = command.values[command.valid], _RANGES[command.unit]
+    rest, near = ends["neutral"], _NEAR_REST * (ends["maximum"] - ends["neutral"])
     if levels.min() > rest - near or levels.max() >= rest + near:
         return "forward" if levels.min() > rest - near else ""
     # A rotor of one direction at half throttle turns faster under higher commands.

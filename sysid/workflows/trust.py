@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import FitError
-from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, adequacy, misfit_finding
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_finding
 from sysid.fit.kind import Words
 from sysid.fit.problem import Problem, computed_by
 from sysid.fit.result import FitResult
@@ -98,7 +98,7 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     rows = _parameters(opened.result, space, assessed, story.keys)
     # Why the interval of a parameter may miss the truth, by its name.
     doubts: dict[str, list[str]] = {row.name: [] for row in rows}
-    bad = _bad_trial(problem, assessed) if lacks and assessed.without is not None else None
+    bad = _bad_trial(problem, judged, assessed.without) if lacks and assessed.without else None
     if bad is not None:
         journal.add(bad)
     _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks and not bad)
@@ -113,7 +113,7 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     stated = stated_values(space, assessed.noise)
     wrong = [row.name for row in stated if row.contradicted]
     if lacks and wrong and not explained_without(problem, assessed.noise, wrong):
-        # What misfit is left points to physics, or to a trial, which pull at what is stated.
+        # Missing physics, or a bad trial, pulls at stated values that are right.
         stated = [row.model_copy(update={"contradicted": False}) for row in stated]
     for finding in contradictions(stated, space):
         journal.add(finding)
@@ -156,14 +156,14 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     return document, _arrays(space, assessed)
 
 
-def _bad_trial(problem: Problem, assessed: Assessment) -> Finding | None:
-    """Return that one trial alone is what noise does not explain; None where none is, or several are."""
+def _bad_trial(problem: Problem, before: Adequacy, without: Solved) -> Finding | None:
+    """Return a finding where noise explains all trials but one; `without` has the fits without each."""
     found = []
     for t, name in enumerate(problem.names):
-        if assessed.without is None or not np.isfinite(assessed.without.squares[t]):
+        if not np.isfinite(without.squares[t]):
             continue
         others = problem.only([other for other in problem.names if other != name])
-        row = problem.space.full(assessed.without.points[t][None])[0]
+        row = problem.space.full(without.points[t][None])[0]
         left = adequacy(others, row)
         own = adequacy(problem.only([name]), row)
         if left.verdict == EXPLAINED_BY and own.misfit.channel_ratio > _UNLIKE:
@@ -171,11 +171,11 @@ def _bad_trial(problem: Problem, assessed: Assessment) -> Finding | None:
     if len(found) != 1:
         return None
     ((name, left),) = found
-    before = assessed.adequacy
+    worst, now = (max(one.ratio, one.misfit.channel_ratio) for one in (before, left))
     return Finding(
         "bad-trial",
-        f"the others fit without {name}: {max(before.ratio, before.misfit.channel_ratio):.2f} × the noise in "
-        f"the worst channel falls to {max(left.ratio, left.misfit.channel_ratio):.2f} ×; look at that log, "
+        f"noise explains the others without {name}: {worst:.2f} × the noise in the worst channel falls to "
+        f"{now:.2f} ×; look at that log, "
         'repeat it, or fit without it (use = "validate")',
         size=before.ratio,
     )
