@@ -55,7 +55,8 @@ def cluster(folder, workers):
     processes = [scheduler]
     try:
         deadline = time.monotonic() + 30
-        while not file.is_file() and time.monotonic() < deadline:
+        # The scheduler opens its file before it writes it: an empty file is not ready.
+        while not (file.is_file() and file.stat().st_size) and time.monotonic() < deadline:
             time.sleep(0.05)
         for _ in range(workers):
             processes.append(
