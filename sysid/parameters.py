@@ -70,6 +70,11 @@ class Parameter:
         """The name without the trial: ``command_delay`` of ``command_delay[step-1.csv]``."""
         return common_name(self)
 
+    def scaled(self, factor: float) -> Parameter:
+        """Return the row with bounds `factor` times as far from zero, to two digits as all defaults have."""
+        lower, upper = (float(f"{factor * bound:.2g}") for bound in (self.lower, self.upper))
+        return replace(self, lower=lower, upper=upper)
+
     def of_trial(self, trial: str) -> Parameter:
         """Return the row of the same number for one trial alone, named ``name[trial]``."""
         return replace(self, name=f"{self.name}[{trial}]", symbol=f"{self.symbol} of {trial}", trial=trial)

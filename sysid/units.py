@@ -68,6 +68,13 @@ def _angles(unit: Any) -> dict[str, Any]:
     return {name: power for name, power in unit.unit_items() if name in ("radian", "steradian")}
 
 
+def powers_of_unit(unit: str) -> tuple[float, float, float]:
+    """Return the powers of mass, length and time in a unit; an angle has none."""
+    found = _parse_unit(unit).dimensionality
+    mass, length, time = (float(found.get(f"[{name}]", 0.0)) for name in ("mass", "length", "time"))
+    return mass, length, time
+
+
 def factor_to_si(unit: str, expected: str = "") -> float:
     """Return the factor that turns a value in `unit` (``"gf"``, ``"RPM"``, ``"kg·m²"``) into SI.
 

@@ -86,6 +86,21 @@ def ranked_sets(runs: Sequence[RunHistory], space: SearchSpace) -> RankedSets:
     )
 
 
+def _wider(record: ParameterRecord, side: int) -> str:
+    """Return the campaign's line that widens one side of the bounds; empty where nothing lies beyond."""
+    lower, upper = record.lower, record.upper
+    if lower is None or upper is None or record.trial or (side < 0 and lower == 0.0):
+        return ""
+    reach = upper - lower
+    if side > 0:
+        upper = 4.0 * upper if record.scale == "log" else upper + reach
+    else:
+        # A bound above zero declares a sign.
+        lower = lower / 4.0 if lower > 0.0 else lower - reach
+    edges = [with_unit(f"{edge:.2g}", record.unit) for edge in (lower, upper)]
+    return f'{record.name} = ["{edges[0]}", "{edges[1]}"]'
+
+
 def bound_findings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.int8]) -> tuple[Finding, ...]:
     """Return which sets end at a bound of which parameter; `at_bound` (S, n) as in `FitResult`."""
     out = []
@@ -98,6 +113,8 @@ def bound_findings(parameters: Sequence[ParameterRecord], at_bound: NDArray[np.i
                     f"{count} of {len(flags)} sets {'ends' if count == 1 else 'end'} at the {word} bound of "
                     f"{name}, {edge}: the data do not determine it there, or the bound cuts it off"
                 )
+                if wider := _wider(record, side):
+                    sentence += f"; {wider} under [parameters.bounds] looks beyond"
                 out.append(about(record, f"at-{word}-bound", sentence, count))
     return tuple(out)
 

@@ -314,7 +314,7 @@ class _Preparation:
         centre = np.median(motion.position[motion.valid], axis=0)
         # At rest the body sinks on its nominal legs: axial, bending and ground compliance in series [m/N].
         vehicle = self.campaign.vehicle
-        value = parameters_on(surface.law).nominal
+        value = parameters_on(surface.law, vehicle.model_dump(exclude_none=True)).nominal
         compliance = 1 / value["leg_axial_stiffness"]
         compliance += (vehicle.foot_dx - value["joint_dx"]) ** 2 / value["leg_bending_stiffness"]
         compliance += 1 / value["ground_stiffness"]

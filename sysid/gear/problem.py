@@ -86,9 +86,8 @@ def gear_space(campaign: GearCampaign) -> SearchSpace:
     measured value, and a free parameter on which no drop depends.
     """
     law = find_surface(campaign.surface.law).name
-    space = campaign.parameters.search_space(
-        parameters_on(law), SURFACES[law].free, measured_values(campaign)
-    )
+    known = measured_values(campaign)
+    space = campaign.parameters.search_space(parameters_on(law, known), SURFACES[law].free, known)
     unread = {*NEVER_IN_DROPS, *read_by_laws()}.difference(SURFACES[law].reads)
     for name in space.names:
         if name in unread:

@@ -275,7 +275,7 @@ def saturation_space(
     known = {n: value for n, value in values.items() if n not in names and n in PARAMETERS}
     bounds = {name: pair for name, pair in choices.bounds.items() if name in names}
     choices = choices.model_copy(update={"free": names, "bounds": bounds})
-    space = choices.search_space(PARAMETERS, names, known)
+    space = choices.search_space(ParameterTable(table[n] for n in PARAMETERS), names, known)
     # Delays of logs that only this stage sees are free; the delays of the dynamic fit stay.
     seen = {delay_name(trial.entry.log) for trial in bench.fitted}
     late = {delay_name(trial.entry.log) for trial in bench.banded} - seen

@@ -17,6 +17,7 @@ from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, check_
 from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_curves
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
+from sysid.motor.parameters import parameters_of
 from sysid.motor.stand import lost_power
 from sysid.motor.static_curves import MeasuredCurve, NoLoadTie, no_load_line, turns
 from sysid.motor.targets import PreparedTrial, prepare_run
@@ -345,7 +346,8 @@ def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     choices = choices.model_copy(update={"free": chosen, "bounds": bounds})
     # A guess need not lie between the bounds of what is freed; a measurement must.
     values = {n: value for n, value in bench.values.items() if n not in chosen or n in bench.measured}
-    space = choices.search_space(PARAMETERS, FREE_DEFAULT, values)
+    table = parameters_of({**bench.values, **choices.fixed_values(PARAMETERS)})
+    space = choices.search_space(table, FREE_DEFAULT, values)
     if campaign.nuisance.command_delay == "log":
         space = with_log_delays(space, bench.fitted, bench.banded)
     return space if campaign.fit.exact else _with_stated(space, campaign, bench)

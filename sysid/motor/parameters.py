@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from sysid.errors import UnitError
 from sysid.parameters import Parameter, ParameterTable
@@ -134,6 +135,41 @@ PARAMETERS = ParameterTable(
           for place in ("top", "middle") for way in ("forward", "reverse")),
     ),
 )  # fmt: skip
+
+
+def parameters_of(known: Mapping[str, float]) -> ParameterTable:
+    """Return the table with the bounds of the default motor scaled to another one.
+
+    `known` [SI] are values of the motor, of which V_ref, k_v, k_m and one torque curve count: they give the
+    speed without load, and the propeller's torque and current at that speed. A value that `known` lacks is
+    the default's; curves keep their bounds, because steady points measure them.
+    """
+    default = PARAMETERS.nominal
+    way = (
+        "forward"
+        if "torque_quadratic_forward" in known or "torque_quadratic_reverse" not in known
+        else "reverse"
+    )
+    ratios = zip(_sizes(default | dict(known), way), _sizes(default, way), strict=True)
+    voltage, speed, torque, current = (here / there for here, there in ratios)
+    factors = {
+        "winding_resistance": voltage / current, "winding_inductance": voltage / current,
+        "supply_resistance": voltage / current, "dead_time_voltage": voltage,
+        "viscous_damping": torque / speed, "rotor_inertia": torque / speed,
+        "back_emf_constant": voltage / speed, "torque_constant": torque / current,
+        "saturation_current": current, "saturation_speed": speed, "winding_warming": current**-2,
+    }  # fmt: skip
+    rows = (row.scaled(float(f"{factors.get(name, 1.0):.2g}")) for name, row in PARAMETERS.items())
+    return ParameterTable(rows, PARAMETERS.derived)
+
+
+def _sizes(values: Mapping[str, float], way: str) -> tuple[float, float, float, float]:
+    """Return V_ref [V], the speed without load [rad/s], and torque [N·m] and current [A] at that speed."""
+    speed = values["reference_voltage"] / values["back_emf_constant"]
+    quadratic, linear = (abs(values[f"torque_{term}_{way}"]) for term in ("quadratic", "linear"))
+    torque = (quadratic * speed + linear) * speed
+    return values["reference_voltage"], speed, torque, torque / values["torque_constant"]
+
 
 FREE_DEFAULT = ("winding_resistance", "winding_inductance", "viscous_damping")
 # Delay and lags of the sensors, in the order in which a comparison takes them.
