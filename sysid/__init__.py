@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from sysid.api import Campaign as Campaign
     from sysid.api import Fit as Fit
     from sysid.api import Judgement as Judgement
-    from sysid.api import Kind as Kind
     from sysid.api import compare as compare
     from sysid.api import cross_validate as cross_validate
     from sysid.api import explain as explain
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from sysid.api import inspect as inspect
     from sysid.api import load_fit as load_fit
     from sysid.api import load_log as load_log
-    from sysid.api import register as register
     from sysid.api import validate as validate
     from sysid.api_landing import design_study as design_study
     from sysid.api_landing import impulse_map as impulse_map
@@ -49,8 +47,8 @@ __version__ = "0.1.0"
 # Imported on first use: `import sysid` stays light.
 _HOMES = {
     "sysid.api": (
-        "Campaign", "Fit", "Judgement", "Kind", "compare", "cross_validate", "explain", "fit_campaign",
-        "fit_gear", "fit_motor", "inspect", "load_fit", "load_log", "register", "validate",
+        "Campaign", "Fit", "Judgement", "compare", "cross_validate", "explain", "fit_campaign",
+        "fit_gear", "fit_motor", "inspect", "load_fit", "load_log", "validate",
     ),
     "sysid.api_landing": (
         "design_study", "impulse_map", "landing_map", "simulate_drop", "simulate_landing", "static_limits",

@@ -25,7 +25,6 @@ from sysid.documents import mistake
 from sysid.errors import CampaignError, FitError
 from sysid.export import load_parameter_sets as load_parameter_sets
 from sysid.export import read_judged_fit
-from sysid.fit.kind import Kind as Kind
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.store import fit_folder
 from sysid.journal import Say
@@ -53,7 +52,6 @@ from sysid.trust.documents import (
 from sysid.workflows import fit as fits
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
-from sysid.workflows.kinds import register as register
 from sysid.workflows.ladder import climb
 from sysid.workflows.options import FitOptions, ReportOptions, TrustOptions, campaign_file
 from sysid.workflows.predict import cross_validate as leave_out

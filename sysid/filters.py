@@ -220,6 +220,8 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
 _SPECTRUM_POINTS = 80
 # Longest stretch that one estimate of a spectrum covers [s].
 _SPECTRUM_STRETCH = 4.0
+# Least number of samples in which noise shows.
+_SHOWS = 20
 
 
 def amplitude_spectrum(values: FloatArray, rate: float) -> Spectrum:
@@ -244,6 +246,20 @@ def amplitude_spectrum(values: FloatArray, rate: float) -> Spectrum:
     _, index, count = np.unique(band, return_inverse=True, return_counts=True)
     mean = np.column_stack([np.bincount(index, column) / count for column in power.T])
     return Spectrum(np.bincount(index, frequency) / count, np.sqrt(mean))
+
+
+def shown_noise(values: FloatArray, gain: float = 20.0) -> float:
+    """Return the standard deviation of the noise of samples (n,) [their unit]; NaN where they show none.
+
+    From the median third difference, in which a signal that is smooth most of the time leaves little; NaN
+    among the samples is left out. `gain` is what a third difference makes of the noise's variance [1]: 20
+    where it is white.
+    """
+    known = values[np.isfinite(values)]
+    if len(known) < _SHOWS:
+        return np.nan
+    sigma = float(np.median(np.abs(np.diff(known, 3)))) / 0.6745 / np.sqrt(gain)
+    return sigma if sigma > 0 else np.nan
 
 
 def differentiate(values: FloatArray, rate: float) -> FloatArray:

@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +25,8 @@ from sysid.campaign import FitTable
 from sysid.campaign.common import CampaignTable, TomlTable, TrialTable
 from sysid.campaign.file import resolve_log
 from sysid.errors import CampaignError, FitError, LogError
-from sysid.fit.kind import Kind, Term
+from sysid.filters import shown_noise
+from sysid.fit.kind import Kind, Term, begin
 from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
 from sysid.fit.problem import Problem
 from sysid.fit.trial import Prediction, Trial
@@ -39,10 +41,11 @@ from sysid.types import FloatArray
 from sysid.units import parse_quantity
 
 Simulate = Callable[[Any, FloatArray, Mapping[str, Any]], Any]
-CAUSES = ("simulate raised an exception", "simulate returned NaN or infinity", "simulate did not end in time")
-_RAISED, _NOT_FINITE, _ENDLESS = 1, 2, 3
-# Samples from which on a log shows its noise, and the gain of a third difference for white noise [1].
-_SHOWS, _THIRD = 20, np.sqrt(20.0)
+CAUSES = (
+    "simulate raised an exception", "simulate returned NaN or infinity", "simulate did not end in time",
+    "simulate returned another shape",
+)  # fmt: skip
+_RAISED, _NOT_FINITE, _ENDLESS, _SHAPE = 1, 2, 3, 4
 # Points between the bounds at which a model is tried before a fit.
 _TRIED = 4
 _TIME = ("time", "t", "timestamp")
@@ -187,18 +190,6 @@ def read_columns(
     return instants, {name: numbers.columns[found[name].index] * factors[name] for name in units}
 
 
-def shown_noise(values: FloatArray) -> float:
-    """Return the standard deviation of the noise of samples (n,) [their unit]; NaN where they show none.
-
-    From the median third difference, in which a signal that is smooth most of the time leaves little.
-    """
-    known = values[np.isfinite(values)]
-    if len(known) < _SHOWS:
-        return np.nan
-    sigma = float(np.median(np.abs(np.diff(known, 3)))) / 0.6745 / _THIRD
-    return sigma if sigma > 0 else np.nan
-
-
 @dataclass(frozen=True, eq=False)
 class OwnProblem(Problem):
     """Prepared trials of a campaign under a model of one's own."""
@@ -211,6 +202,11 @@ class OwnProblem(Problem):
     # First message by cause, of this problem and those made of it.
     messages: dict[int, str] = field(default_factory=dict)
     causes = CAUSES
+
+    @property
+    def lost_advice(self) -> str:
+        """First message of every cause."""
+        return "; ".join(self.messages.values())
 
     @cached_property
     def trials(self) -> tuple[Trial, ...]:
@@ -249,62 +245,53 @@ class OwnProblem(Problem):
         return replace(self, records=tuple(log for log in self.records if log.name in names))
 
     @cached_property
-    def _places(self) -> list[tuple[list[str], list[int]]]:
-        """Names of the values that the function gets for each trial, and their columns of a row."""
-        index = self.space.table.index
-        names = list(self.model.table)
-        own = set(self.model.by_trial)
+    def _places(self) -> list[dict[str, int]]:
+        """Columns of a row by the names that the function reads, for each trial."""
+        index, own = self.space.table.index, self.model.by_trial
         return [
-            (names, [index[f"{name}[{log.name}]" if name in own else name] for name in names])
+            {name: index[f"{name}[{log.name}]" if name in own else name] for name in self.model.table}
             for log in self.records
         ]
 
     def predict(self, rows: FloatArray) -> Prediction:
         """Simulate and score rows of the whole parameter table (P, n_table) [SI]; return the signals too."""
-        size, width = len(rows), len(self.model.channels)
-        cause = np.zeros((size, len(self.records)), dtype=np.int8)
-        signals = []
-        for t, (log, (names, columns)) in enumerate(zip(self.records, self._places, strict=True)):
-            block = np.full((size, len(log.time), width), np.nan)
-            chosen = rows[:, columns]
+        samples = np.full((len(rows), self.cost.n_total, len(self.model.channels)), np.nan)
+        cause = np.zeros((len(rows), len(self.records)), dtype=np.int8)
+        signals = tuple(samples[:, a:b] for a, b in pairwise(self.cost.offsets.tolist()))
+        numbers = rows.tolist()
+        for t, (log, places) in enumerate(zip(self.records, self._places, strict=True)):
             if self.model.vectorized:
-                values = {name: chosen[:, [i]] for i, name in enumerate(names)}
-                cause[:, t] = self._simulated(values, log, block)
-            else:
-                for p, row in enumerate(chosen.tolist()):
-                    cause[p, t] = self._simulated(dict(zip(names, row, strict=True)), log, block[p])
-            lost = (cause[:, t] == 0) & ~np.isfinite(block).all(axis=(1, 2))
-            if lost.any():
-                cause[lost, t] = _NOT_FINITE
-                first = chosen[np.argmax(lost)].tolist()
-                self._keep(_NOT_FINITE, log, dict(zip(names, first, strict=True)), "")
-            signals.append(block)
-        by_channel, failed = self.cost(np.concatenate(signals, axis=1), threads=self.threads)
-        assert not np.any(failed & (cause == 0))
-        return Prediction(by_channel, cause, tuple(signals))
+                values = {name: rows[:, [i]] for name, i in places.items()}
+                cause[:, t] = self._simulated(values, log, signals[t])
+                continue
+            for p, row in enumerate(numbers):
+                one = {name: row[i] for name, i in places.items()}
+                cause[p, t] = self._simulated(one, log, signals[t][p])
+        by_channel, failed = self.cost(samples, threads=self.threads)
+        for p, t in np.argwhere(failed & (cause == 0)):
+            lost = {name: numbers[p][i] for name, i in self._places[t].items()}
+            cause[p, t] = self._keep(_NOT_FINITE, self.records[t], lost, "")
+        return Prediction(by_channel, cause, signals)
 
     def _simulated(self, values: Mapping[str, Any], log: OwnRecord, out: FloatArray) -> int:
         """Simulate into `out` (..., n, C); return the cause of a failure, 0 without one."""
         try:
-            with _WATCH.limited(self.model.patience):
+            try:
+                _WATCH.begin(self.model.patience)
                 got = self.model.simulate(values, log.time, log.inputs)
+            finally:
+                _WATCH.end()
+            got = np.asarray(got, dtype=np.float64)
         except _OverdueError:
             return self._keep(_ENDLESS, log, values, f"still ran after {self.model.patience:g} s")
         except Exception as error:
             return self._keep(_RAISED, log, values, _said(error))
-        try:
-            got = np.asarray(got, dtype=np.float64)
-        except (TypeError, ValueError):
-            got = np.zeros(0)
-        if got.shape == out.shape[:-1] and out.shape[-1] == 1:
-            got = got[..., None]
         if got.shape != out.shape:
-            one = f"({len(log.time)}, {out.shape[-1]})"
-            raise FitError(
-                f"{self.model.name}: simulate returned an array {got.shape} for {log.name}; expected {one}: "
-                "a row for each instant, a column for each channel"
-                + (f", for each of {len(out)} candidates" if self.model.vectorized else "")
-            )
+            if got.shape != out.shape[:-1] or out.shape[-1] != 1:
+                one = "(P, n, channels), for P candidates" if self.model.vectorized else "(n, channels)"
+                said = f"{got.shape}; expected {out.shape}, which is {one}"
+                return self._keep(_SHAPE, log, values, said)
+            got = got[..., None]
         out[...] = got
         return 0
 
@@ -322,26 +309,29 @@ class OwnProblem(Problem):
         return super().results(rows)
 
 
-def _begin(problem: OwnProblem) -> None:
-    """Try the model inside the bounds; FitError where it cannot be fitted."""
-    space, name = problem.space, problem.model.name
+def try_out(problem: Problem) -> None:
+    """Try a model inside the bounds; FitError where it cannot be fitted."""
+    fitted, kind = problem.fitted, problem.campaign.kind
+    space, samples = fitted.space, fitted.blocks[-1].stop
     drawn = np.random.default_rng(0).random((_TRIED, len(space.free)))
     points = np.vstack([np.full(len(space.free), 0.5), drawn])
-    base = problem.predict(space.full(points))
-    whole = np.flatnonzero(~np.any(base.cause > 0, axis=1))
-    if not len(whole):
-        first = next(iter(problem.messages.values()))
-        raise FitError(f"{name}: {first}, and fails at every point that was tried")
+    base, failed = fitted.residuals(points)
+    if failed.all():
+        raise FitError(f"{kind}: {fitted.lost_advice}; and so at every point that was tried")
     for i, row in enumerate(space.free):
-        moved = points[whole].copy()
+        moved = points.copy()
         moved[:, i] = (moved[:, i] + 0.37) % 1.0
-        other = problem.predict(space.full(moved)).signals
-        same = [np.array_equal(a[whole], b) for a, b in zip(base.signals, other, strict=True)]
-        if all(same):
+        other, lost = fitted.residuals(moved)
+        if np.array_equal(base[~failed, :samples], other[~failed, :samples]) and not lost[~failed].any():
             raise FitError(
-                f"{name}: no sample moves with {row.name}; simulate must read "
-                f"values[{row.common_name!r}], or the campaign must fix it under [parameters.fixed]"
+                f"{kind}: no residual moves with {row.name}; the simulation must read {row.common_name!r}, "
+                "or the campaign must fix it under [parameters.fixed]"
             )
+
+
+def _begin(problem: Problem) -> None:
+    try_out(problem)
+    begin(problem)
 
 
 def _said(error: Exception) -> str:
@@ -361,10 +351,6 @@ class _Watch:
     def __init__(self) -> None:
         self._lock, self._until = threading.Lock(), dict[int, float]()
         self._thread: threading.Thread | None = None
-
-    def limited(self, seconds: float) -> _Limited:
-        """Return a block that ends after `seconds`."""
-        return _Limited(self, seconds)
 
     def begin(self, seconds: float) -> None:
         self._until[threading.get_ident()] = time.monotonic() + seconds
@@ -387,19 +373,6 @@ class _Watch:
                     if time.monotonic() > until:
                         del self._until[ident]
                         raise_there(ctypes.c_ulong(ident), ctypes.py_object(_OverdueError))
-
-
-class _Limited:
-    __slots__ = ("_seconds", "_watch")
-
-    def __init__(self, watch: _Watch, seconds: float) -> None:
-        self._watch, self._seconds = watch, seconds
-
-    def __enter__(self) -> None:
-        self._watch.begin(self._seconds)
-
-    def __exit__(self, *error: object) -> None:
-        self._watch.end()
 
 
 _WATCH = _Watch()

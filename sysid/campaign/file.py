@@ -73,8 +73,7 @@ def read_campaign(path: str | Path, kind: str | None = None, *, exact: bool | No
         )
     if kind is not None and stated != kind:
         raise CampaignFileError(
-            f"{path}: is a {stated} campaign, expected {kind}; use 'sysid fit-{stated}', "
-            f"or name a {kind} campaign"
+            f"{path}: is a {stated} campaign, expected {kind}; use 'sysid fit', or name a {kind} campaign"
         )
     if unfilled:
         raise CampaignFileError(

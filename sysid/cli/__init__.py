@@ -13,14 +13,12 @@ import sys
 import tempfile
 import traceback
 from contextlib import suppress
-from pathlib import Path
 
 import typer
 
 from sysid.cli.root import CLOSED_PIPE, app, say
 from sysid.errors import SysidError, printable
 from sysid.journal import heard_warnings
-from sysid.plugin import run_file
 
 # The modules register their commands when they are imported, in the order of `sysid --help`.
 from sysid.cli import logs, fits, landing  # noqa: F401  # isort: skip
@@ -36,12 +34,9 @@ def main() -> None:
     debug = "--debug" in sys.argv
     if debug:  # anywhere on the line
         sys.argv = [argument for argument in sys.argv if argument != "--debug"]
-    plugins = _taken("--plugin")
     code: int | str | None = 0
     refusal = ""
     try:
-        for plugin in plugins:
-            run_file(Path(plugin), "that calls sysid.model")
         with heard_warnings(lambda sentence: say(f"warning: {sentence}")):
             app()
     except SystemExit as stop:
@@ -73,16 +68,6 @@ def main() -> None:
         with suppress(OSError):
             typer.echo(f"error: {printable(' '.join(refusal.split()))}", err=True)
     sys.exit(code)
-
-
-def _taken(option: str) -> list[str]:
-    """Take an option that every command has off the command line; return its values."""
-    values = []
-    while option in sys.argv[:-1]:
-        place = sys.argv.index(option)
-        values.append(sys.argv[place + 1])
-        del sys.argv[place : place + 2]
-    return values
 
 
 def _unwritten(error: Exception) -> str:

@@ -20,6 +20,7 @@ from typer.core import TyperCommand
 
 from sysid.interrupt import heard_interrupts
 from sysid.marks import Argument, Flag, field_hints, field_values, mark_of
+from sysid.plugin import run_file
 
 Run = Callable[..., int | None]
 
@@ -31,6 +32,11 @@ _VALUES = {Path: "PATH", str: "TEXT", int: "NUMBER", float: "NUMBER"}
 _LINE = 74
 # A command with more options shows them under the headings that their declarations name.
 _MANY = 8
+# Every command takes Python files with models of a user; `sysid --help` says so once.
+_PLUGIN = inspect.Parameter(
+    "plugin", inspect.Parameter.KEYWORD_ONLY, default=None,
+    annotation=Annotated[list[Path] | None, typer.Option("--plugin", hidden=True)],
+)  # fmt: skip
 
 
 class Command(TyperCommand):
@@ -74,7 +80,9 @@ def command(app: typer.Typer, name: str, example: str) -> Callable[[Run], Run]:
         defaults = {p.name: p.default for p in inspect.signature(run).parameters.values()}
         hints.pop("return")
 
-        def call(**given: object) -> None:
+        def call(plugin: list[Path] | None = None, **given: object) -> None:
+            for file in plugin or ():
+                run_file(file, "that calls sysid.model")
             # An option that the user leaves out keeps the default of the dataclass or function.
             stated = {name: value for name, value in given.items() if value is not None}
             try:
@@ -88,7 +96,7 @@ def command(app: typer.Typer, name: str, example: str) -> Callable[[Run], Run]:
                 raise typer.Exit(code)
 
         call.__doc__ = run.__doc__
-        parameters = list(_parameters(hints, defaults))
+        parameters = [*_parameters(hints, defaults), _PLUGIN]
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         call.__annotations__ = {p.name: p.annotation for p in parameters}
         app.command(name, cls=Command, epilog=f"\b\nExample:\n  {_folded(example)}")(call)

@@ -46,7 +46,7 @@ def fit_motor(campaign: CampaignPath, options: FitOptions, strict: Strict = Fals
 def fit(campaign: CampaignPath, options: FitOptions, strict: Strict = False, json: Json = False) -> int:
     """Fit the model that a campaign names: gear, motor or own.
 
-    A model of your own is in a Python file that --plugin names, before or behind any command.
+    A model of your own is in a Python file that --plugin names behind this and any other command.
     """
     from sysid.workflows.fit import fit_campaign
 

@@ -78,7 +78,8 @@ def _as_found(problem: Problem, course: Course) -> FitOutcome:
     return FitOutcome(sets, sets.values, records, sets.values, sets.at_bound, sets.cost, cut=course.cut)
 
 
-def _begin(problem: Problem) -> None:
+def begin(problem: Problem) -> None:
+    """Tell what is fitted."""
     count = len(problem.fitted.trials)
     free = ", ".join(problem.space.names)
     tell(f"{count} trial{'s' * (count != 1)} to fit, {len(problem.trials) - count} to validate; free: {free}")
@@ -107,7 +108,7 @@ class Kind:
     # (campaign, path, threads) -> the problem of all its trials.
     open: Callable[[Any, Path, int | None], Problem]
     # (problem of all trials) -> None: refuses early what could not be fitted, tells what is fitted.
-    begin: Callable[[Any], None] = _begin
+    begin: Callable[[Any], None] = begin
     # (problem of all trials, `Course`) -> `FitOutcome`.
     follow_up: Callable[[Any, Course], FitOutcome] = _as_found
     # (fitted problem, row (n_table,) [SI]) -> (problem with one trial per recording that could be made next,

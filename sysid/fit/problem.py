@@ -2,7 +2,7 @@
 
 The search scores a `Problem`, trust takes its residuals, validation and report its predictions; none of them
 asks which model it is. Further descriptions of its trials stand in `sysid.fit.story`, how it is made of a
-campaign in `sysid.fit.kind`. A third model is one more folder, see `sysid.workflows.kinds.register`.
+campaign in `sysid.fit.kind`. A user's model is one too: `sysid.own`.
 """
 
 from __future__ import annotations
@@ -77,6 +77,11 @@ class Problem(ABC):
         """Return the problem of some of the trials."""
 
     # --- what a model may say -------------------------------------------------------------------------------
+
+    @property
+    def lost_advice(self) -> str:
+        """Advice for a user whose trials cannot be simulated."""
+        return "check the masses, lengths and units that the campaign states"
 
     def score(self, rows: FloatArray) -> Scores:
         """Return what `predict` scores; a model that can do so without keeping the signals is faster."""

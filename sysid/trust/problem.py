@@ -135,9 +135,7 @@ def _differences(
             for t, c in enumerate(causes)
             if c
         ]
-        raise FitError(
-            f"{', '.join(lost)}: cannot be simulated at the values that are judged; check the masses, "
-            "lengths and units that the campaign states"
-        )
+        where = f"{', '.join(lost)}: cannot be simulated at the values that are judged"
+        raise FitError(f"{where}; {problem.lost_advice}")
     columns, _ = moves.columns(values[0], values[1:], failed[1:], np.zeros((n, values.shape[1])))
     return (columns * scale).T

@@ -154,7 +154,7 @@ def _adopted(opened: OpenedFit, added: list[str], adopt: Path) -> str:
     # The campaign keeps its name, by which its fit would take the place of this one.
     folder = opened.folder.resolve()
     out = shown_from_here(folder.with_name(f"{folder.name}-{adopt.stem}"))
-    return f"wrote {adopt}; fit it next: sysid fit-{opened.kind.name} {adopt} --out {out}"
+    return f"wrote {adopt}; fit it next: sysid fit {adopt} --out {out}"
 
 
 def with_free(text: str, names: list[str]) -> str:

@@ -20,9 +20,10 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from fakes.lag_kind import LagProblem, write_lag
+from fakes.lag_kind import write_lag
 from sysid.fit import checkpoint
 from sysid.fit.store import read_fit
+from sysid.own import OwnProblem
 from sysid.trust.documents import TrustDocument, parts
 from sysid.workflows import fit as workflow
 
@@ -57,7 +58,7 @@ class Lab:
         self.folder, self.command, self.count = folder, run, 0
         monkeypatch.setattr(workflow, "fit_motor", workflow.fit_campaign)
         monkeypatch.setattr(checkpoint, "INTERVAL", 0.0)
-        monkeypatch.setattr(LagProblem, "predict", self._counted(LagProblem.predict))
+        monkeypatch.setattr(OwnProblem, "predict", self._counted(OwnProblem.predict))
         self.left = None
         source = write_lag(self.make("source"), SEARCH)
         text = source.read_text(encoding="utf-8")
@@ -79,7 +80,7 @@ class Lab:
 
     def home(self, text):
         folder = self.make("home")
-        for log in self.logs.glob("*.json"):
+        for log in self.logs.glob("*.csv"):
             shutil.copy(log, folder)
         (folder / "lag.toml").write_text(text, encoding="utf-8")
         return folder

@@ -41,7 +41,7 @@ def test_the_missing_term_is_kept_and_adopted(lag, run, tmp_path):
     code, out, err = run("ladder", folder, "--adopt", target, "--figure", picture, "--quiet")
     assert code == 0, err
     document = LadderDocument.read(folder)
-    assert document.keep == ["speed at rest"]
+    assert document.keep == ["offset"]
     assert document.parameters == ["offset"]
     base, kept = document.base, document.alone[0]
     # The logs state no noise, so a ratio counts in units of the assumed one.
@@ -53,20 +53,20 @@ def test_the_missing_term_is_kept_and_adopted(lag, run, tmp_path):
     assert kept.values["offset"] == pytest.approx(0.2, abs=0.01)
     assert kept.values["time_constant"] == pytest.approx(TRUE["time_constant"], rel=0.02)
     # What is asked for next must not take the place of the fit that the ladder began with.
-    assert "keep speed at rest" in out
+    assert "keep offset" in out
     again = folder.with_name("fit-with-terms")
-    assert f"sysid fit-lag {target} --out {again}" in out.replace("\n", "")
+    assert f"sysid fit {target} --out {again}" in out.replace("\n", "")
     free = tomllib.loads(target.read_text("utf-8"))["parameters"]["free"]
     assert free == ["gain", "time_constant", "offset"]
     with_term, _ = fit_campaign(target, FitOptions(out=again, quiet=True, trust=False))
     assert with_term.parameter_sets().set_values()["offset"] == pytest.approx(0.2, abs=0.01)
     labels = figure_rungs(document).axes[0].get_yticklabels()
-    assert [label.get_text() for label in labels] == ["as fitted", "speed at rest", "kept: speed at rest"]
+    assert [label.get_text() for label in labels] == ["as fitted", "offset", "kept: offset"]
     assert picture.stat().st_size > 1000
     # It can be read again without computing it again.
-    assert "ladder: keep speed at rest" in run("show", folder)[1]
+    assert "ladder: keep offset" in run("show", folder)[1]
     assert run("report", folder)[0] == 0
-    assert "y_0 0.2" in (folder / "report.html").read_text("utf-8")
+    assert "offset 0.2" in (folder / "report.html").read_text("utf-8")
 
 
 def test_a_right_model_is_kept_as_it_is(tmp_path, run):
@@ -104,7 +104,7 @@ def test_a_campaign_that_cannot_be_edited_is_refused_after_all_is_printed(tmp_pa
     path.write_text(text.replace("[fit]", 'parameters.free = ["gain", "time_constant"]\n[fit]'), "utf-8")
     code, out, err = run("ladder", folder, "--adopt", tmp_path / "new.toml", "--quiet")
     assert code == 2
-    assert "keep speed at rest" in out
+    assert "keep offset" in out
     assert 'free = ["gain", "time_constant", "offset"]' in err
     assert not (tmp_path / "new.toml").exists()
 

@@ -1,12 +1,11 @@
 """A model that lacks something, from the end of its fit to its exports: what is said of it, and how often."""
 
-import json
 from types import SimpleNamespace
 
+import pandas as pd
 import pytest
 
-from fakes import lag_kind
-from fakes.lag_kind import write_lag
+from fakes.lag_kind import SIGMA, write_lag
 from sysid.api import load_fit
 from sysid.errors import SysidWarning
 from sysid.trust import influence
@@ -24,8 +23,8 @@ def fit(tmp_path, capsys):
     What is noticed as it comes (`heard`) and what is printed at the end (`printed`) are lines.
     """
 
-    def call(**options):
-        path = write_lag(tmp_path, offset=-0.8)
+    def call(noise=SIGMA, **options):
+        path = write_lag(tmp_path, offset=-0.8, noise=noise)
         bounds = '[parameters.bounds]\ntime_constant = ["0.01 s", "0.12 s"]\n'
         path.write_text(path.read_text(encoding="utf-8") + bounds, encoding="utf-8")
         heard = []
@@ -52,9 +51,9 @@ def test_no_trial_is_to_be_dropped_before_the_terms_were_tried(fit, monkeypatch)
 def test_one_bad_trial_is_named_and_right_ones_are_not(tmp_path, bad):
     path = write_lag(tmp_path, names=tuple(f"step-{k}" for k in range(6)))
     if bad is not None:
-        log = tmp_path / f"{bad}.json"
-        time, speed = json.loads(log.read_text("utf-8"))
-        log.write_text(json.dumps([time, [1.3 * value for value in speed]]), "utf-8")
+        table = pd.read_csv(tmp_path / f"{bad}.csv")
+        table["speed [rad/s]"] *= 1.3
+        table.to_csv(tmp_path / f"{bad}.csv", index=False)
     heard = []
     walk.fit_campaign(path, FitOptions(out=tmp_path / "fit", quiet=True), say=heard.append)
     accused = [line for line in heard if "noise explains the others without" in line]
@@ -68,10 +67,9 @@ def test_one_bad_trial_is_named_and_right_ones_are_not(tmp_path, bad):
 def test_a_spread_of_the_sets_is_stated_where_no_interval_is_and_noise_explains(
     fit, monkeypatch, noise, trust, ranges
 ):
-    monkeypatch.setattr(lag_kind, "NOISE", noise)
     asked = []
     monkeypatch.setattr(walk, "loose_findings", lambda *given: asked.append(given[-1]) or ())
-    fit(trust=trust)
+    fit(noise=noise, trust=trust)
     assert asked == [ranges]
 
 
@@ -98,7 +96,7 @@ def test_without_intervals_no_digits_of_a_symptom_are_printed_or_exported(fit, r
     out = run("show", done.folder)[1]
     assert out.count("not explained") == 1
     assert out.startswith("not explained: NRMSE ")
-    rows = [line.split() for line in out.splitlines() if line.startswith(" τ [s]")]
+    rows = [line.split() for line in out.splitlines() if line.startswith(" time_constant [s]")]
     assert [row[2:4] for row in rows[:2]] == [["not", "interpretable"]] * 2
     assert "0.12*" not in out
     (last,) = (line for line in done.printed if line.startswith("verdict: "))

@@ -114,9 +114,12 @@ def endless(values, time, trial):
 @pytest.mark.parametrize(
     ("simulate", "words"),
     [
-        (lambda v, t, trial: np.zeros((len(t), 2)), "returned an array (200, 2) for a; expected (200, 1)"),
+        (
+            lambda v, t, trial: np.zeros((len(t), 2)),
+            "returned another shape ((200, 2); expected (200, 1), which is (n, channels)) on a",
+        ),
         (lambda v, t, trial: v["start"] * t * np.nan, "simulate returned NaN or infinity on a at rate"),
-        (lambda v, t, trial: v["start"] * t, "no sample moves with rate; simulate must read values['rate']"),
+        (lambda v, t, trial: v["start"] * t, "no residual moves with rate; the simulation must read 'rate'"),
         (lambda v, t, trial: v["length"] * t, "raised an exception (KeyError: 'length', test_own_model.py"),
         (endless, "did not end in time (still ran after 0.2 s)"),
     ],

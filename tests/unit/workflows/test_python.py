@@ -13,10 +13,10 @@ import sysid
 from fakes.fits import full_fit
 from fakes.lag_kind import TRUE, write_lag
 from fakes.places import PUBLISHED, SAMPLES
-from sysid import api, api_landing, api_model, errors, marks, parameter_sets
+from sysid import api, api_landing, api_model, errors, marks, parameter_sets, testing
 from sysid.gear import model as gear_model
 from sysid.motor import model as motor_model
-from sysid.workflows import kinds, options
+from sysid.workflows import options
 
 
 @pytest.fixture(scope="module")
@@ -56,9 +56,6 @@ def test_what_is_no_rank_no_kind_and_no_number_is_refused(gear):
     for rank in (None, 1.5, "1", 0, 10**400):
         with pytest.raises(sysid.SysidError, match="no set of rank"):
             gear.sets.set_values(rank)
-    for kind in (None, 5, "gear"):
-        with pytest.raises(sysid.SysidError, match=r"expected a sysid.Kind to register"):
-            sysid.register(kind)
     with pytest.raises(sysid.SysidError, match="expected the name of a parameter, found 3"):
         gear.sets[3]
     for slope in (10**400, -(10**400), math.inf, math.nan, True, None):
@@ -90,7 +87,7 @@ def test_options_of_another_kind_are_refused_in_a_short_sentence(gear, motor):
         assert len(str(refusal.value)) < 1500
 
 
-@pytest.mark.parametrize("module", [api, api_landing, api_model, errors, kinds, parameter_sets])
+@pytest.mark.parametrize("module", [api, api_landing, api_model, errors, parameter_sets, testing])
 def test_every_example_of_the_documentation_runs(tmp_path, monkeypatch, module):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "data_samples").symlink_to(SAMPLES)

@@ -1,4 +1,4 @@
-"""The skeleton serves a model that it has never seen: no file of the package knows `fakes.lag_kind`."""
+"""The verbs serve a user's model, `fakes.lag_kind`, as they serve a gear and a motor."""
 
 import csv
 import hashlib
@@ -12,13 +12,14 @@ from pathlib import Path
 import pytest
 
 import sysid
-from fakes.lag_kind import TRUE, LagProblem, write_lag
+from fakes.lag_kind import TRUE, write_lag
 from sysid import exact_json
 from sysid.errors import FitError, SysidWarning
 from sysid.export import load_parameter_sets
 from sysid.export.spreadsheet import to_csv
 from sysid.fit.adequacy import adequacy
 from sysid.fit.store import read_fit
+from sysid.own import OwnProblem
 from sysid.parameter_sets import INTERVALS
 from sysid.report.trust_tables import print_check, print_trust, print_validation
 from sysid.trust.documents import TrustDocument
@@ -107,8 +108,8 @@ def test_no_digits_of_what_the_data_do_not_determine(lag, tmp_path, run):
     assert table.loc["time_constant", "value"] > 0
     sides = run("compare", lag[1], folder)[1]
     (ours,) = (line for line in sides.splitlines() if "not identifiable" in line)
-    assert ours.startswith(" K [rad/s]")
-    (apart,) = (line for line in sides.splitlines() if re.match(r" K .* open ", line))
+    assert ours.startswith(" gain [rad/s]")
+    (apart,) = (line for line in sides.splitlines() if re.match(r" gain .* open ", line))
     assert apart.count(" — ") == 2
 
 
@@ -175,13 +176,13 @@ def test_a_fit_ends_with_intervals_that_no_export_leaves_out(tmp_path):
 def test_a_campaign_that_changes_while_the_fit_runs_is_recorded_as_it_was_read(tmp_path, monkeypatch, change):
     path = write_lag(tmp_path, "runs = 1\npopulation = 24\nmax_generations = 2\n")
     read = path.read_text(encoding="utf-8")
-    evaluate = LagProblem.score
+    evaluate = OwnProblem.score
 
     def meanwhile(problem, rows):
         path.write_text(read + "# edited\n", encoding="utf-8") if change == "edited" else path.unlink(True)
         return evaluate(problem, rows)
 
-    monkeypatch.setattr(LagProblem, "score", meanwhile)
+    monkeypatch.setattr(OwnProblem, "score", meanwhile)
     result, folder = fit_campaign(path, FitOptions(out=tmp_path / "fit", quiet=True, trust=False))
     stated = result.provenance["campaign"]
     assert stated["text"] == read
