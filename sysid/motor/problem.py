@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sysid.campaign import MotorCampaign
+from sysid.filters import shown_noise
 from sysid.fit.problem import Problem, tell_of_kernel
 from sysid.fit.result import FitResult
 from sysid.fit.trial import NoiseModel, Prediction, Scores, Trial
@@ -184,7 +185,8 @@ class MotorProblem(Problem):
                 coefficients = np.array([curve.fit.coefficients])
                 if curve.rows[0].name in table:
                     shares = rows[:, [table.index[row.name] for row in curve.rows]] - 1.0
-                    coefficients = coefficients + shares @ curve.changes
+                    # No matrix product: BLAS rounds a row by the number of its neighbours.
+                    coefficients = coefficients + sum(shares[:, [i]] * c for i, c in enumerate(curve.changes))
                 if curve.fit.quantity == "no_load":
                     coefficients = coefficients * lift[:, None]
                 rows[:, [_INDEX[name] for name in curve.fit.parameters]] = coefficients
@@ -258,7 +260,6 @@ class MotorProblem(Problem):
     def noise(self) -> FloatArray:
         """(T, 2) standard deviation of the sensors' noise as compared [channel units]; NaN: none shows.
 
-        From the median third difference, in which a signal that is smooth most of the time leaves little.
         While the rotor stands, a sensor may have less noise or none. White noise that has passed the filter
         of a fast log leaves less there, too, by what the filter's taps say.
         """
@@ -270,10 +271,7 @@ class MotorProblem(Problem):
             gain = 20.0 * share[0] - 30.0 * share[1] + 12.0 * share[2] - 2.0 * share[3]
             turns = turning_instants(target)
             for c in range(len(CHANNELS)):
-                known = target.measured[target.valid[:, c] & turns, c]
-                if len(known) >= 20:
-                    sigma = float(np.median(np.abs(np.diff(known, 3)))) / 0.6745 / np.sqrt(gain)
-                    out[t, c] = sigma if sigma > 0 else np.nan
+                out[t, c] = shown_noise(target.measured[target.valid[:, c] & turns, c], gain)
         return out
 
     def correlation(self) -> NoiseModel:
