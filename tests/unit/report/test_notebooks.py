@@ -6,6 +6,7 @@ import re
 import nbformat
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from fakes.notebooks import NOTEBOOKS, ORDER, differences, execute, texts
 from fakes.places import SAMPLES
@@ -38,9 +39,11 @@ def test_stored_notebooks_are_thin_shown_and_take_parameters(name):
     assert sum("parameters" in cell.metadata.get("tags", ()) for cell in cells) == 1
     assert sum(cell.cell_type == "markdown" for cell in notebook.cells) >= 4
     for cell in cells:
-        # Prose and calls: whatever computes lives in the package, under test.
-        assert not re.search(r"^\s*(def|class|for|while|if|with|try|print)\b", cell.source, re.MULTILINE)
-        assert len(cell.source.splitlines()) <= 8
+        # Prose and calls: whatever computes lives in the package, under test, or is the user's model.
+        own = name == "08-a-model-of-your-own" and re.search(r"^def ", cell.source, re.MULTILINE)
+        computing = r"^\s*(def|class|for|while|if|with|try|print)\b"
+        assert own or not re.search(computing, cell.source, re.MULTILINE)
+        assert len(cell.source.splitlines()) <= (20 if name.startswith("08") else 8)
         # Nothing prints; a refusal is shown where the notebook asks for one.
         refusal = "raises-exception" in cell.metadata.get("tags", ())
         kinds = {output.output_type for output in cell.outputs}
@@ -81,6 +84,19 @@ def test_a_difference_is_found():
     changed = differences(stored, nbformat.from_dict(other))
     assert changed
     assert all("0.088" in sentence and "0.091" in sentence for sentence in changed)
+
+
+def test_the_swings_are_those_of_the_pendulum_that_the_notebook_states():
+    for name, release, drag in (("swing-1", 40, 0.0), ("swing-2", 60, 0.0), ("card-5", 70, 0.12)):
+        time, angle = np.loadtxt(NOTEBOOKS / "pendulum" / f"{name}.csv", delimiter=",", skiprows=1).T
+
+        def motion(_, state, drag=drag):
+            return state[1], -9.81 / 0.62 * np.sin(state[0]) - (0.08 + drag * abs(state[1])) * state[1]
+
+        start = np.deg2rad(release), 0.0
+        right = solve_ivp(motion, time[[0, -1]], start, t_eval=time, rtol=1e-9, atol=1e-12).y[0]
+        # The standard deviation of 201 samples has an error of 5 %.
+        assert np.std(angle - np.rad2deg(right)) == pytest.approx(0.3, rel=0.2)
 
 
 def test_the_raw_drops_are_sample_drops_in_other_axes():
