@@ -32,8 +32,8 @@ from sysid.loaders import load
 from sysid.marks import Flag, field_hints, field_values, mark_of
 from sysid.parameter_sets import ParameterSets, interval_columns
 from sysid.recording import Recording
+from sysid.report.explain import conclusion
 from sysid.report.inspect_figures import figure_logs
-from sysid.report.ladder import conclusion
 from sysid.search_options import Algorithm, Finisher
 from sysid.shown import Shown
 from sysid.storage import path_of
@@ -42,9 +42,9 @@ from sysid.trust.comparison import Comparison
 from sysid.trust.documents import (
     CheckDocument,
     CrossValidationDocument,
+    ExplainDocument,
     FreeParameter,
     JudgedTrial,
-    LadderDocument,
     TrustDocument,
     ValidationDocument,
     with_intervals,
@@ -52,10 +52,11 @@ from sysid.trust.documents import (
 from sysid.workflows import fit as fits
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
-from sysid.workflows.ladder import climb
+from sysid.workflows.explain import explain_opened
 from sysid.workflows.options import FitOptions, ReportOptions, TrustOptions, campaign_file
 from sysid.workflows.predict import cross_validate as leave_out
 from sysid.workflows.predict import validate_fit
+from sysid.workflows.reopen import open_fit
 from sysid.workflows.report import write_report
 from sysid.workflows.show import verdict_on
 from sysid.workflows.trust import assess_fit
@@ -67,8 +68,10 @@ if TYPE_CHECKING:
 Options = TypeVar("Options")
 Function = TypeVar("Function", bound=Callable[..., object])
 Doc = TypeVar(
-    "Doc", bound=CheckDocument | TrustDocument | ValidationDocument | CrossValidationDocument | LadderDocument
-    | Comparison, covariant=True,
+    "Doc",
+    bound=CheckDocument | TrustDocument | ValidationDocument | CrossValidationDocument | ExplainDocument
+    | Comparison,
+    covariant=True,
 )  # fmt: skip
 # True: lines on standard error, as of a command. A function: it gets the lines.
 Progress = bool | Callable[[str], None]
@@ -175,7 +178,7 @@ class Judgement(Shown, Generic[Doc]):
     def sentences(self) -> tuple[str, ...]:
         """What is concluded: advice, reasons, or how far noise explains a fit."""
         document = self.document
-        if isinstance(document, LadderDocument):
+        if isinstance(document, ExplainDocument):
             return tuple(conclusion(document))
         if isinstance(document, CheckDocument | Comparison):
             return tuple(document.sentences)
@@ -227,7 +230,7 @@ class Judgement(Shown, Generic[Doc]):
                 for row in document.differences
             }
             return rows, "parameter"
-        if isinstance(document, LadderDocument):
+        if isinstance(document, ExplainDocument):
             rungs = [document.base, *document.simpler, *document.alone]
             rows = {
                 " and ".join(rung.terms) or "as fitted": {"NRMSE": rung.nrmse, "over noise": rung.over_noise}
@@ -637,16 +640,17 @@ def compare(
 def explain(
     fit: str | Path | Fit, campaign: str | Path | Campaign | None = None, *, threads: int | None = None,
     progress: Progress = False,
-) -> Judgement[LadderDocument]:  # fmt: skip
-    """Say which physics a fit's model lacks, as ``sysid ladder`` does.
+) -> Judgement[ExplainDocument]:  # fmt: skip
+    """Say what a fit's campaign states wrongly, and which physics its model lacks, as ``sysid explain`` does.
 
-    Adds each declared term to the model, finds those to keep among all together, and judges them on trials
-    left out. ``document.parameters`` are those to free in a campaign. Raises SysidError for a kind without
-    terms, and for too few fitted trials.
+    Tries stated values and single trials first. To what they leave it adds each declared term, finds those to
+    keep among all together, and judges them on trials left out. ``document.parameters`` are those to free in
+    a campaign. Raises SysidError for a kind without terms, and for too few fitted trials.
     """
     path = None if campaign is None else campaign_path(campaign)
     options = python_options(TrustOptions, {**locals(), "campaign": path})
-    return Judgement(climb(place_of(fit), options.campaign, options.threads, say_of(progress)))
+    opened = open_fit(place_of(fit), options.campaign, options.threads)
+    return Judgement(explain_opened(opened, say_of(progress)))
 
 
 def python_options(cls: type[Options], given: Mapping[str, object], **fixed: object) -> Options:

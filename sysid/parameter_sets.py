@@ -243,6 +243,8 @@ NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
 INTERVALS = "intervals"
 # Key of the settings: parameters that data may only bound, whose digits are not printed without an interval.
 NOT_ASSESSED = "not_assessed"
+# Key of the settings: sentences on the stated values or the trial that a fit accuses.
+ACCUSED = "accused"
 # Key of the settings: what the trials show without the model, in words; it counts where the model does not.
 KNOWN_ANYHOW = "known_anyhow"
 # Key of the provenance: residuals of the fit over the noise, see `sysid.fit.adequacy`.

@@ -7,7 +7,7 @@ and the fixed values of all others.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -183,6 +183,12 @@ class SearchSpace:
         fixed = {name: value for name, value in self.fixed.items() if name not in stated}
         fixed |= {row.name: row.nominal for row in more if row.name not in stated}
         return SearchSpace(table, (*self.free, *rows), fixed, {**self.stated, **stated})
+
+    def unstating(self, names: Collection[str]) -> SearchSpace:
+        """Return the space in which the search looks for some rows, whatever is stated of them."""
+        stated = {name: value for name, value in self.stated.items() if name not in names}
+        rows = sorted(self.free[len(self.found) :], key=lambda row: row.name in stated)
+        return SearchSpace(self.table, (*self.found, *rows), self.fixed, stated)
 
     @property
     def found(self) -> tuple[Parameter, ...]:

@@ -68,11 +68,12 @@ class Command(TyperCommand):
                     formatter.write_dl([(name, _DEFAULT.sub(r"[default: \1", help)) for name, help in rows])
 
 
-def command(app: typer.Typer, name: str, example: str) -> Callable[[Run], Run]:
+def command(app: typer.Typer, name: str, example: str, alias: str = "") -> Callable[[Run], Run]:
     """Return a decorator that makes a function a command of `app`.
 
     The function's docstring is the help of the command, and its first line what lists of commands say; an
-    integer that it returns is the exit code. The help ends with an `example`, which runs after the demo.
+    integer that it returns is the exit code. The help ends with an `example`, which runs after the demo. An
+    `alias` is a former name, which no list of commands has.
     """
 
     def register(run: Run) -> Run:
@@ -99,7 +100,9 @@ def command(app: typer.Typer, name: str, example: str) -> Callable[[Run], Run]:
         parameters = [*_parameters(hints, defaults), _PLUGIN]
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         call.__annotations__ = {p.name: p.annotation for p in parameters}
-        app.command(name, cls=Command, epilog=f"\b\nExample:\n  {_folded(example)}")(call)
+        epilog = f"\b\nExample:\n  {_folded(example)}"
+        for one in filter(None, (name, alias)):
+            app.command(one, cls=Command, epilog=epilog, hidden=one == alias)(call)
         return run
 
     return register

@@ -181,27 +181,27 @@ def compare(
     )  # fmt: skip
 
 
-@command(app, "ladder", "sysid ladder fits/demo/gear-lf")
-def ladder(
+@command(app, "explain", "sysid explain fits/demo/gear-lf", alias="ladder")
+def explain(
     fit: FitFolder,
     campaign: FitCampaign = None,
     figure: Figure = None,
     adopt: Annotated[
-        Path | None, Flag("Write a campaign with the terms to keep to this file.", "--adopt", "--out")
+        Path | None, Flag("Write a campaign with what to change to this file.", "--adopt", "--out")
     ] = None,
     threads: Threads = None,
     force: Force = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Say which physics a fit's model lacks.
+    """Say what a fit's campaign states wrongly, and which physics its model lacks.
 
-    Adds each declared term to the model, finds those to keep among all together, and judges them on trials
-    left out.
+    Tries stated values and single trials first. To what they leave it adds each declared term, finds those to
+    keep among all together, and judges them on trials left out.
     """
-    from sysid.workflows.ladder import climb_and_print
+    from sysid.workflows.explain import explain_and_print
 
-    climb_and_print(
+    explain_and_print(
         fit, campaign, adopt=adopt, figure=figure, force=force, threads=threads, json=json,
         say=unless(quiet or json),
     )  # fmt: skip

@@ -16,7 +16,7 @@ GROUPS = {
     "Start": ("demo", "new-campaign", "synthesize"),
     "Look": ("inspect", "convert", "formats", "reversal-time"),
     "Fit": ("check", "fit", "fit-motor", "fit-gear", "fits", "show", "report"),
-    "Trust": ("trust", "validate", "cross-validate", "compare", "ladder"),
+    "Trust": ("trust", "validate", "cross-validate", "compare", "explain"),
     "Use": (
         "export", "simulate", "static-limits", "landing-map", "impulse-map", "design-study", "schema",
     ),

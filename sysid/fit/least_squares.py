@@ -115,8 +115,8 @@ def descend(
 
     The cost rises by about `rise` along each displacement of a difference quotient, see
     `sysid.fit.derivatives`. Coordinates that are `fixed` (F, n) keep their value. `kept` (S, m) are the
-    derivatives by the stated values, the last S coordinates, at every point; by default they are taken at
-    every fourth step. `central` differences cost two simulations each, one-sided ones cost one. A front has
+    derivatives by the last S coordinates at every point; by default those by stated values are taken at every
+    fourth step. `central` differences cost two simulations each, one-sided ones cost one. A front has
     converged when two steps in a row reduce its cost by less than the `tolerance`.
     """
     points, cost = fronts.points, fronts.cost
@@ -137,12 +137,15 @@ def descend(
         moves = []
         for f, front in enumerate(numbers):
             asked, bent = ~fixed[front], fronts.curvature[front]
-            if kept is not None or iteration % _REFRESHED:
+            if kept is not None:
+                asked[n - len(kept) :] = False
+            elif iteration % _REFRESHED:
                 asked[n - layout.stated :] = False
             moves.append(
                 displaced(at[f], bent, layout, asked=asked, still=fixed[front], rise=rise, central=central)
             )
-        values, failed = yield np.concatenate([move.points for move in moves])
+        asked_for = np.concatenate([move.points for move in moves])
+        values, failed = (yield asked_for) if len(asked_for) else (current[:0], failed[:0])
         last = 0
         trials = np.repeat(at[:, None], len(_FACTORS), axis=1)
         promised = np.zeros(len(walking))

@@ -15,7 +15,7 @@ they are no line: Ω_0 = Ω_s + R (τ_s + k_d Ω_s)/(k_m k_v) of a level with sp
 cell under the motor feels the stator's reaction k_m I_eff − k_d Ω, positive when the motor drives the rotor
 forward, and the thrust T, positive along the forward thrust.
 
-Terms on trial, zero by default, for `sysid ladder` (`sysid.motor.kind`)::
+Terms on trial, zero by default, for `sysid explain` (`sysid.motor.kind`)::
 
     R → (R + R_s u²) (1 + w ∫ I² dt)         V_c → V_c + V_dead (sign u − I/√(I² + 0.01 A²))
 

@@ -12,7 +12,7 @@ import numpy as np
 from sysid.documents import rounded
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, ROUGHLY_BY
 from sysid.fit.result import FitResult
-from sysid.parameter_sets import KNOWN_ANYHOW, Judged, Known
+from sysid.parameter_sets import ACCUSED, KNOWN_ANYHOW, Judged, Known
 from sysid.parameters import common_name
 from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
 from sysid.report.table import NONE, Cell, Table, numbers, table, words
@@ -110,11 +110,13 @@ def next_step(fit: FitResult, trust: TrustDocument | None, predicted: bool, fold
     judged = fit.provenance.get("adequacy", {})
     if fit.agreement.unfinished or fit.state != "done":
         return "the search was not finished; fit again with more generations before you read a number."
+    if accused := fit.settings.get(ACCUSED):
+        return f"{'; '.join(accused)}."
     if judged.get("verdict") == NOT_BY:
         at = judged["misfit"]
         look = (
             f"look at {at['channel']} {at['phase']} on {at['trial']}, where the misfit sits, and change the "
-            f"campaign or the model: `sysid ladder {folder}` tries what it may lack."
+            f"campaign or the model: `sysid explain {folder}` tries what it may lack."
         )
         if anyhow := fit.settings.get(KNOWN_ANYHOW):
             return (

@@ -39,6 +39,7 @@ from sysid.report.answer import (
     predicted_over_noise,
 )
 from sysid.report.drawing import USES, percent_text
+from sysid.report.explain import conclusion, figure_rungs, moves_table, rungs_table
 from sysid.report.fit_figures import (
     Bars,
     figure_convergence,
@@ -66,15 +67,14 @@ from sysid.report.html import (
     side_by_side,
     unfoldable,
 )
-from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_table
 from sysid.report.plots import Panel, View, figure_of, interactive
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
 from sysid.report.trust_tables import narrow_table, stated_table, validation_table
 from sysid.trust import documents
 from sysid.trust.documents import (
     CrossValidationDocument,
+    ExplainDocument,
     FreeParameter,
-    LadderDocument,
     TrustDocument,
     ValidationDocument,
 )
@@ -182,9 +182,9 @@ class FitReport:
         return TrustDocument.read(self.folder)
 
     @cached_property
-    def climbed(self) -> LadderDocument | None:
-        """What terms on trial buy; None where `sysid ladder` has not been run for this fit."""
-        return LadderDocument.read(self.folder)
+    def climbed(self) -> ExplainDocument | None:
+        """What terms on trial buy; None where `sysid explain` has not been run for this fit."""
+        return ExplainDocument.read(self.folder)
 
     @cached_property
     def validations(self) -> dict[str, ValidationDocument | CrossValidationDocument]:
@@ -487,13 +487,10 @@ class FitReport:
         if self.climbed is not None:
             what = "misfit over noise of every model on what was left out, and NRMSE of what was fitted"
             drawn = picture(figure_rungs(self.climbed), what, "What each term buys.")
-            return (
-                bullets(conclusion(self.climbed))
-                + markup_table(rungs_table(self.climbed))
-                + markup_table(moves_table(self.climbed, self.trust))
-                + drawn
-            )
-        return self.missing("further physics", "sysid ladder")
+            moves = markup_table(moves_table(self.climbed, self.trust)) if self.climbed.together else NOTHING
+            found = bullets(conclusion(self.climbed)) + markup_table(rungs_table(self.climbed))
+            return found + moves + drawn
+        return self.missing("further physics", "sysid explain")
 
     @titled(
         "Filter",

@@ -21,7 +21,7 @@ goes when all terms that its kind declares are fitted as well, with what stays o
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,23 +57,26 @@ FEWEST = 3
 _LEAST_FREEDOM = 2
 
 
-def linearize(problem: Problem, start: FloatArray) -> Linearized:
-    """Go from the best set (n,) [unit cube] to the minimum near it, and find what noise leaves open there."""
-    linear = _linearized(problem, np.clip(np.asarray(start, dtype=np.float64), 0.0, 1.0))
+def linearize(problem: Problem, start: FloatArray, kept: FloatArray | None = None) -> Linearized:
+    """Go from the best set (n,) [unit cube] to the minimum near it, and find what noise leaves open there.
+
+    `kept` (S, m) are the derivatives by the stated values, where they are known from a fit nearby.
+    """
+    linear = _linearized(problem, np.clip(np.asarray(start, dtype=np.float64), 0.0, 1.0), kept)
     for _ in range(_ROUNDS):
         before = linear
         solved = solve(
             problem, linear.point[None], linear.scale, rise=linear.jacobian.rise,
-            curvature=linear.information.curvature, tolerance=linear.tolerance, iterations=20,
+            curvature=linear.information.curvature, tolerance=linear.tolerance, iterations=20, kept=kept,
         )  # fmt: skip
-        linear = _linearized(problem, solved.points[0])
+        linear = _linearized(problem, solved.points[0], kept)
         moved = np.abs(linear.point - before.point) / np.maximum(before.information.sigma, 1e-12)
         if np.max(moved) < 0.1:
             break
     return linear
 
 
-def _linearized(problem: Problem, point: FloatArray) -> Linearized:
+def _linearized(problem: Problem, point: FloatArray, kept: FloatArray | None) -> Linearized:
     blocks, residuals = problem.blocks, problem.residuals(point[None])[0][0]
     levels = nrmse_of(blocks, residuals)
     scale = scales(problem, blocks, levels)
@@ -81,7 +84,7 @@ def _linearized(problem: Problem, point: FloatArray) -> Linearized:
     sample = float(np.sqrt(np.sum((residuals * scale) ** 2) / sum(block.count for block in blocks)))
     changes = problem.disturbances(point)
     noise = noise_model(blocks, undisturbed(blocks, residuals, changes))
-    linear = linearized(problem, point, levels, scale, max(sample, 1e-12), noise, changes)
+    linear = linearized(problem, point, levels, scale, max(sample, 1e-12), noise, changes, kept)
     # The inflation of a derivative that depends on the step is worth nothing; the largest one replaces it.
     rise = linear.information.inflation
     rise = np.where(linear.jacobian.trusted, rise, rise.max())
@@ -126,19 +129,6 @@ def refit(
     for name in ("points", "squares", "converged"):
         getattr(first, name)[left] = getattr(more, name)
     return replace(first, evaluations=first.evaluations + more.evaluations)
-
-
-def explained_without(problem: Problem, linear: Linearized, names: Collection[str]) -> bool:
-    """Return whether noise explains the trials, roughly at least, where nothing is stated of these values."""
-    stop, places = problem.blocks[-1].stop, [*problem.space.stated]
-    weights = np.ones((1, len(linear.scale)))
-    weights[:, [stop + places.index(name) for name in names]] = 0.0
-    freed = solve(
-        problem, linear.point[None], linear.scale, rise=linear.jacobian.rise,
-        curvature=linear.information.curvature, tolerance=linear.tolerance, iterations=2 * _ITERATIONS,
-        weights=lambda part: weights[part],
-    )  # fmt: skip
-    return adequacy(problem, problem.space.full(freed.points)[0]).verdict != NOT_BY
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,12 +186,12 @@ def assess(
     """
     tell = say or (lambda sentence: None)
     tell("derivatives at the best set")
-    judged, noise, linear, without = _judged(problem, start)
+    judged, noise, linear, without = judge_fit(problem, start)
     tell(f"profiles of {len(problem.space.found)} parameters")
     walked = walk_profiles(problem, linear, seed)
     if walked.lowered > 1.0:
         # A profile has found a better place, from which everything is judged.
-        judged, noise, linear, without = _judged(problem, walked.best)
+        judged, noise, linear, without = judge_fit(problem, walked.best)
         again = walk_profiles(problem, linear, seed)
         walked = replace(again, evaluations=walked.evaluations + again.evaluations)
     if judged.verdict not in (EXPLAINED_BY, UNJUDGED):
@@ -219,7 +209,7 @@ def assess(
     return Assessment(judged, noise, linear, walked, without, resampled)
 
 
-def _judged(problem: Problem, start: FloatArray) -> tuple[Adequacy, Linearized, Linearized, Solved | None]:
+def judge_fit(problem: Problem, start: FloatArray) -> tuple[Adequacy, Linearized, Linearized, Solved | None]:
     """Go to the minimum near a start; return how well noise explains it, and what it leaves open.
 
     What noise alone leaves open, what is left open with the misfit, and the fits without each trial.
@@ -233,9 +223,12 @@ def _judged(problem: Problem, start: FloatArray) -> tuple[Adequacy, Linearized, 
     return judged, noise, widened(problem, noise, points), without
 
 
-def linearize_widened(problem: Problem, start: FloatArray) -> Linearized:
-    """Go to the minimum near a start; return what noise leaves open there, or misfit if there is any."""
-    linear = linearize(problem, start)
+def linearize_widened(problem: Problem, start: FloatArray, kept: FloatArray | None = None) -> Linearized:
+    """Go to the minimum near a start; return what noise leaves open there, or misfit if there is any.
+
+    `kept` as for `linearize`.
+    """
+    linear = linearize(problem, start, kept)
     if _adequacy(problem, linear.point).verdict not in (EXPLAINED_BY, UNJUDGED):
         linear = widened(problem, linear, np.zeros((0, len(linear.point))))
     return linear

@@ -1,6 +1,6 @@
 """What is known about how far a fit can be trusted: ``NAME.json`` and ``NAME.h5`` in the fit folder.
 
-Four documents: ``trust``, ``ladder`` and ``cross-validation`` (one per fit), and ``validation-CAMPAIGN``
+Four documents: ``trust``, ``explain`` and ``cross-validation`` (one per fit), and ``validation-CAMPAIGN``
 (``validation-CAMPAIGN-HASH`` for a second campaign file of that name). Units are SI. The HDF5 file has
 arrays, each with the attributes ``axes`` and ``unit``:
 
@@ -28,12 +28,12 @@ from sysid.errors import FitError
 from sysid.fit.adequacy import Adequacy
 from sysid.fit.provenance import CampaignFile
 from sysid.journal import notice
-from sysid.parameter_sets import INTERVALS, Flags, Judged, Pair, SetsContent
+from sysid.parameter_sets import ACCUSED, INTERVALS, Flags, Judged, Pair, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_files
 from sysid.types import BoolArray, FloatArray
 
-TRUST, CROSS_VALIDATION, LADDER, VALIDATION = "trust", "cross-validation", "ladder", "validation-"
+TRUST, CROSS_VALIDATION, EXPLAIN, VALIDATION = "trust", "cross-validation", "explain", "validation-"
 Sets = TypeVar("Sets", bound=SetsContent)
 # Arrays of a document by path in its HDF5 file: values, axes, unit.
 Arrays = Mapping[str, tuple[FloatArray | BoolArray, str, str]]
@@ -104,6 +104,19 @@ class StatedValue(Part):
     # Whether no chance explains that fall, and the values that would explain the trials as well.
     contradicted: bool
     partners: list[str]
+
+
+class Suspect(Part):
+    """Stated values of which nothing is stated, or a trial that is left out, and what noise explains then."""
+
+    what: Literal["value", "trial"]
+    names: list[str]
+    # NRMSE over what noise costs, and the worst channel's [1].
+    over_noise: float
+    worst_channel: float
+    verdict: str
+    # Sentences of the accusation; none where nobody is accused.
+    sentences: list[str]
 
 
 class ChannelNoise(Part):
@@ -272,6 +285,7 @@ class TrustDocument(TrustPart):
     adequacy: Adequacy | None = None
     parameters: list[FreeParameter]
     stated: list[StatedValue] = Field(default_factory=list)
+    suspects: list[Suspect] = Field(default_factory=list)
     correlation: list[list[float]]
     noise: Noise
     trials: list[TrialInfluence]
@@ -339,17 +353,22 @@ class LadderRung(Part):
     kept: bool
 
 
-class LadderDocument(TrustPart):
-    """``ladder.json``: the fit, each term of its kind added alone, then those to keep together."""
+class ExplainDocument(TrustPart):
+    """``explain.json``: what the campaign may state wrongly, then each term of the fit's kind.
 
-    part: str = LADDER
+    Terms are added alone, then those to keep together, to what is left without the accused. There is none
+    where noise explains that.
+    """
+
+    part: str = EXPLAIN
+    suspects: list[Suspect] = Field(default_factory=list)
     # Names of what was left out in turn: the trials, or `parts` of them.
     trials: list[str]
     parts: bool
     # All parameters that a rung has, by name.
     symbols: dict[str, str]
     units: dict[str, str]
-    # The model with the terms to keep.
+    # The model without the accused and with the terms to keep.
     adequacy: Adequacy
     base: LadderRung
     alone: list[LadderRung]
@@ -477,7 +496,7 @@ def parts(folder: Path) -> tuple[str, ...]:
     """Return the documents in a fit folder, whether or not the fit has changed since."""
     stems = sorted(path.stem for path in folder.glob("*.json") if (folder / f"{path.stem}.h5").is_file())
     return tuple(
-        name for name in stems if name in (TRUST, CROSS_VALIDATION, LADDER) or name.startswith(VALIDATION)
+        name for name in stems if name in (TRUST, CROSS_VALIDATION, EXPLAIN) or name.startswith(VALIDATION)
     )
 
 
@@ -493,9 +512,11 @@ def stating_intervals(sets: Sets, document: TrustDocument) -> Sets:
     findings = sets.provenance.get("findings", ())
     settled = {one["sentence"] for one in findings if one["code"] == "not-assessed"}
     warnings = dict.fromkeys((*sets.warnings, *document.warnings))
+    accused = [sentence for one in document.suspects for sentence in one.sentences]
+    settings = {**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}}
     return replace(
         sets,
-        settings={**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}},
+        settings=settings | ({ACCUSED: accused} if accused else {}),
         warnings=tuple(warning for warning in warnings if warning not in settled),
     )
 

@@ -37,7 +37,7 @@ from sysid.journal import Say
 from sysid.parameters import SearchSpace
 from sysid.trust.assessment import linearize_widened
 from sysid.trust.least_squares import solve
-from sysid.trust.problem import scales, stated_columns
+from sysid.trust.problem import derivatives, scales
 from sysid.trust.terms import TOLERANCE, downhill, freed, searched, starting_point
 from sysid.types import FloatArray
 
@@ -101,7 +101,7 @@ class TermFit:
 class Ladder:
     """The base, each term alone, those to keep together, the most certain first, and simpler models.
 
-    Where none is to be kept, `together` is the one that gains most.
+    Where none is to be kept, `together` is the one that gains most. Without terms there is the base alone.
     """
 
     base: TermFit
@@ -113,19 +113,14 @@ class Ladder:
     @property
     def best(self) -> TermFit:
         """The rung with all terms to keep; the base where no term is."""
-        return self.together[-1] if self.together[-1].kept else self.base
+        return self.together[-1] if self.together and self.together[-1].kept else self.base
 
 
 class Climber:
     """Fits rungs and counts what they simulate."""
 
     def __init__(self, problem: Problem, start: FloatArray, say: Say = None) -> None:
-        """Begin at the best set (n,) [unit cube] of the fitted trials; FitError for too few pieces."""
-        if len(problem.pieces[0]) < FEWEST:
-            raise FitError(
-                f"{len(problem.pieces[0])} fitted trials: a ladder is judged on trials left out, and needs "
-                f"{FEWEST} or more; fit more trials"
-            )
+        """Begin at the best set (n,) [unit cube] of the fitted trials."""
         self.evaluations = 0
         self._found: dict[Term, Mapping[str, float]] = {}
         self._say = say or (lambda sentence: None)
@@ -134,11 +129,22 @@ class Climber:
         left = nrmse_of(problem.blocks, problem.residuals(start[None])[0])[0]
         self._floors = np.where(np.isfinite(floors), floors, left)
         self._problem, self._start = problem, start
-        self._kept = stated_columns(problem, start)
+        count = len(problem.space.stated)
+        self._kept = derivatives(problem, start)[-count:] if count else None
 
     def climb(self, terms: Sequence[Term], simpler: Sequence[tuple[str, Problem]] = ()) -> Ladder:
-        """Return the base, each term alone, those to keep together, and simpler models by title."""
+        """Return the base, each term alone, those to keep together, and simpler models by title.
+
+        FitError for too few pieces to judge terms.
+        """
+        if terms and len(self._problem.pieces[0]) < FEWEST:
+            raise FitError(
+                f"{len(self._problem.pieces[0])} fitted trials: physics is judged on trials left out, and "
+                f"needs {FEWEST} or more; fit more trials"
+            )
         base = self._left_out(self._fitted((), self._problem, self._start[None]))
+        if not terms:
+            return Ladder(base, (), (), (), self.evaluations)
         alone = []
         for term in terms:
             self._say(f"{term.title}: fitted, and fitted without each trial")
@@ -196,7 +202,8 @@ class Climber:
 
     def _by_certainty(self, rung: TermFit, looked_at: int) -> tuple[TermFit, list[float]]:
         """Sort a rung's terms, the most certain first; return the chance of each that its value is none."""
-        linear, space = linearize_widened(rung.problem, rung.point), rung.problem.space
+        kept = self._columns(rung.problem)
+        linear, space = linearize_widened(rung.problem, rung.point, kept), rung.problem.space
         rung = self._rated(rung.terms, rung.problem, linear.point, 0)
         wald, chances = [], []
         for term in rung.terms:
@@ -238,18 +245,22 @@ class Climber:
         return TermFit(terms, problem, point, nrmse, nrmse / floor, none, none)
 
     def _left_out(self, rung: TermFit) -> TermFit:
-        """Fit a rung without each piece, and predict that piece."""
+        """Fit a rung without each piece, and predict that piece.
+
+        One set of derivatives serves all these fits, which end near by.
+        """
         problem, point, blocks = rung.problem, rung.point, rung.problem.blocks
         names, piece = problem.pieces
         count = len(names)
         left = piece == np.arange(count)[:, None]
         residuals = problem.residuals(point[None])[0][0]
         scale = scales(problem, blocks, nrmse_of(blocks, residuals)) / np.sqrt(rung.nrmse)
+        columns = derivatives(problem, point, self._columns(problem))
         # What the campaign states is left out with no trial.
         weights_of = np.pad(1.0 - left, ((0, 0), (0, len(residuals) - left.shape[1])), constant_values=1.0)
         solved = solve(
             problem, np.repeat(point[None], count, axis=0), scale, rise=RISE,
-            weights=lambda part: weights_of[part], kept=self._columns(problem),
+            weights=lambda part: weights_of[part], kept=columns,
             tolerance=TOLERANCE, iterations=_ITERATIONS_WITHOUT,
         )  # fmt: skip
         self.evaluations += solved.evaluations + count

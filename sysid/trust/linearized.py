@@ -114,9 +114,13 @@ def linearized(
     sample: float,
     noise: NoiseModel,
     disturbances: FloatArray,
+    kept: FloatArray | None = None,
 ) -> Linearized:
-    """Return what noise leaves open; `sample` is the root of a sample's share of the weighted squares."""
-    derived = jacobian(problem, point, scale, sample)
+    """Return what noise leaves open; `sample` is the root of a sample's share of the weighted squares.
+
+    `kept` (S, m) are the derivatives by the stated values, where they are known.
+    """
+    derived = jacobian(problem, point, scale, sample, kept)
     spread = gradient_noise(problem.blocks, derived.values, scale, levels, noise, disturbances)
     known = bounded_information(derived.values, spread, point)
     widths = half_widths(problem.space, point, known.sigma)

@@ -81,35 +81,37 @@ class Jacobian:
         return np.asarray(self.doubt < TRUSTED, dtype=np.bool_)
 
 
-def jacobian(problem: Problem, point: FloatArray, scale: FloatArray, noise: float = 1.0) -> Jacobian:
+def jacobian(
+    problem: Problem,
+    point: FloatArray,
+    scale: FloatArray,
+    noise: float = 1.0,
+    kept: FloatArray | None = None,
+) -> Jacobian:
     """Return the derivatives at a point (n,) of the unit cube, ``J = (4 J(h/2) - J(h))/3``.
 
     `scale` (m,) weights the residuals, see `scales`. The steps follow from `noise`, the standard deviation
     of a weighted residual [1]: smaller differences are lost in the integration's error. They go along the
-    principal axes of the curvature, see `sysid.fit.derivatives`.
+    principal axes of the curvature, see `sysid.fit.derivatives`. `kept` (S, m) are the derivatives of the
+    residuals by the stated values, where they are known.
     """
     rise = (_SHARE * noise) ** 2
-    first = _differences(problem, point, scale, np.zeros((len(point), len(point))), rise)
-    coarse = _differences(problem, point, scale, first.T @ first, rise)
+    first = _differences(problem, point, scale, np.zeros((len(point), len(point))), rise, kept)
+    coarse = _differences(problem, point, scale, first.T @ first, rise, kept)
     curvature = coarse.T @ coarse
-    coarse, fine = (_differences(problem, point, scale, curvature, rise, share) for share in (1.0, 0.5))
+    coarse, fine = (_differences(problem, point, scale, curvature, rise, kept, share) for share in (1.0, 0.5))
     # The error of a central difference goes with h²: halving the step takes three quarters of it away.
     doubt = np.linalg.norm(fine - coarse, axis=0) / np.maximum(np.linalg.norm(fine, axis=0), 1e-30)
     return Jacobian(np.where(doubt < 3 * TRUSTED, (4 * fine - coarse) / 3, fine), rise, doubt)
 
 
-def stated_columns(problem: Problem, point: FloatArray) -> FloatArray | None:
-    """Return the derivatives (S, m) of the residuals by the stated values at a point (n,); None without any.
-
-    They hardly bend, so that one point serves many fits.
-    """
-    count, blocks = len(problem.space.stated), problem.blocks
-    if not count:
-        return None
+def derivatives(problem: Problem, point: FloatArray, kept: FloatArray | None = None) -> FloatArray:
+    """Return the derivatives (n, m) of the residuals at a point (n,); `kept` as for `jacobian`."""
+    blocks = problem.blocks
     levels = nrmse_of(blocks, problem.residuals(point[None])[0][0])
     scale = scales(problem, blocks, levels)
     sample = np.sqrt(sum(b.weight for b in blocks) * levels.mean() / sum(b.count for b in blocks))
-    columns = jacobian(problem, point, scale, float(sample)).values[:, -count:].T
+    columns = jacobian(problem, point, scale, float(sample), kept).values.T
     return np.asarray(columns / np.where(scale > 0, scale, 1.0))
 
 
@@ -119,13 +121,19 @@ def _differences(
     scale: FloatArray,
     curvature: FloatArray,
     rise: float,
+    kept: FloatArray | None,
     share: float = 1.0,
 ) -> FloatArray:
     """Return central differences (m, n) of the weighted residuals; one-sided at the cube's faces."""
     n = len(point)
     every = np.ones(n, dtype=np.bool_)
+    known = np.zeros((n, len(scale)))
+    asked = every.copy()
+    if kept is not None:
+        asked[n - len(kept) :] = False
+        known[n - len(kept) :] = kept
     moves = displaced(
-        point, curvature, problem.layout, asked=every, still=~every, rise=rise, central=True, share=share
+        point, curvature, problem.layout, asked=asked, still=~every, rise=rise, central=True, share=share
     )
     values, failed = problem.residuals(np.concatenate([point[None], moves.points]))
     if failed[0]:
@@ -137,5 +145,5 @@ def _differences(
         ]
         where = f"{', '.join(lost)}: cannot be simulated at the values that are judged"
         raise FitError(f"{where}; {problem.lost_advice}")
-    columns, _ = moves.columns(values[0], values[1:], failed[1:], np.zeros((n, values.shape[1])))
+    columns, _ = moves.columns(values[0], values[1:], failed[1:], known)
     return (columns * scale).T

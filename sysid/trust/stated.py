@@ -195,8 +195,11 @@ def better_measured(
     return out
 
 
-def contradictions(rows: Sequence[StatedValue], space: SearchSpace) -> list[Finding]:
-    """Return a finding for every value that the trials contradict, the worst first."""
+def contradictions(rows: Sequence[StatedValue], space: SearchSpace, falls: str) -> list[Finding]:
+    """Return a finding for every value that the trials contradict, the worst first.
+
+    `falls` says how the misfit falls once the values are what the trials ask for.
+    """
     by_name, out = {row.name: row for row in rows}, []
     trials = {row.name: row.trial for row in space.free}
     for row in sorted(rows, key=lambda row: -row.gain):
@@ -208,7 +211,7 @@ def contradictions(rows: Sequence[StatedValue], space: SearchSpace) -> list[Find
         sentence = (
             f"the trials ask for {row.name} = {_shown(row, row.asked, row.sigma)}, the campaign states "
             f"{_shown(row, row.stated, row.error)} ({abs(row.asked - row.stated) / row.error:.0f} standard "
-            "errors): measure it again"
+            f"errors): with what they ask for {falls}; measure it again"
             + (f" ({instead} would do the same)" if instead else "")
             + (f"; it looks exchanged with {swapped[0]}" if swapped else "")
         )

@@ -41,8 +41,9 @@ def downhill(problem: Problem, starts: FloatArray, kept: FloatArray | None = Non
     """
     fronts = Fronts.at(np.unique(starts, axis=0))
     walk = descend(
-        fronts, MeanNrmse(problem), problem.layout, kept=kept, tolerance=TOLERANCE, iterations=_ITERATIONS
-    )
+        fronts, MeanNrmse(problem), problem.layout, kept=kept, central=False, tolerance=TOLERANCE,
+        iterations=_ITERATIONS,
+    )  # fmt: skip
     evaluations = drive(walk, problem.residuals)
     fronts.sort()
     return fronts.points[0].copy(), evaluations

@@ -11,7 +11,7 @@ from sysid.parameter_sets import SetsDocument
 from sysid.trust.documents import (
     CheckDocument,
     CrossValidationDocument,
-    LadderDocument,
+    ExplainDocument,
     TrustDocument,
     ValidationDocument,
 )
@@ -23,7 +23,7 @@ DOCUMENTS: dict[str, type[Part]] = {
     "trust": TrustDocument,
     "validation": ValidationDocument,
     "cross-validation": CrossValidationDocument,
-    "ladder": LadderDocument,
+    "explain": ExplainDocument,
 }
 
 

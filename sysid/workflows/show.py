@@ -10,16 +10,16 @@ from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder
-from sysid.parameter_sets import ADEQUACY, KNOWN_ANYHOW, NOT_ASSESSED, ParameterSets
+from sysid.parameter_sets import ACCUSED, ADEQUACY, KNOWN_ANYHOW, NOT_ASSESSED, ParameterSets
+from sysid.report.explain import conclusion
 from sysid.report.fold import print_lines, print_table
-from sysid.report.ladder import conclusion
 from sysid.report.set_tables import (
     adequacy_table,
     mean_sigma_table,
     ranked_table,
     trial_table,
 )
-from sysid.trust.documents import LadderDocument
+from sysid.trust.documents import ExplainDocument
 
 
 def print_sets(source: str | Path, json: bool) -> None:
@@ -31,11 +31,12 @@ def print_sets(source: str | Path, json: bool) -> None:
     # The fitting command ends with the verdict; a reader of the folder or file meets it first.
     if judged := sets.provenance.get(ADEQUACY):
         print_lines([judged["sentence"]], "" if judged["verdict"] == EXPLAINED_BY else "bold yellow")
+    print_lines(sets.settings.get(ACCUSED, ()), "bold yellow")
     _print_tables(sets)
     path = Path(source)
     folder = fit_folder(path) if path.is_dir() or path.name == "fit.h5" else None
-    if folder is not None and (climbed := LadderDocument.read(folder)):
-        print_lines([f"ladder: {conclusion(climbed)[0]}; all of it: sysid report {folder}"])
+    if folder is not None and (climbed := ExplainDocument.read(folder)):
+        print_lines([f"explain: {conclusion(climbed)[0]}; all of it: sysid report {folder}"])
 
 
 def is_unfinished(result: FitResult) -> bool:
@@ -71,7 +72,7 @@ def print_fit(result: FitResult, folder: Path, json: bool) -> None:
     mend = (
         *([anyhow] if result.settings.get(KNOWN_ANYHOW) else []),
         (f"check {campaign}", "do the logs contradict the campaign?"),
-        (f"ladder {folder}", "which physics does the model lack?"),
+        (f"explain {folder}", "which stated value, log or physics is wrong?"),
     )
     for command, what in (
         *([] if result.state == "done" else [cut]),
@@ -108,6 +109,8 @@ def verdict_on(result: FitResult) -> str:
         known += f"; the error of {key} as stated decides {', '.join(names)}"
     if judged is not None and judged["verdict"] == NOT_BY and (anyhow := result.settings.get(KNOWN_ANYHOW)):
         fits = f"use {anyhow}, which need no model; of the model: {fits}"
+    # A wrong campaign says nothing of a model.
+    fits = "; ".join([*result.settings.get(ACCUSED, ()), fits])
     warned = len(result.warnings)
     count = f"{warned or 'no'} warning{'' if warned == 1 else 's'}"
     return f"{fits}; {known.replace('_', ' ')}; {count}"

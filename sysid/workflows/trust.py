@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from sysid.errors import FitError
-from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_finding
+from sysid.fit.adequacy import NOT_BY, misfit_finding
 from sysid.fit.kind import Words
-from sysid.fit.problem import Problem, computed_by
+from sysid.fit.problem import computed_by
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_texts
 from sysid.journal import Finding, Journal, Say, notice
 from sysid.parallel import executor
 from sysid.parameters import Parameter, SearchSpace, about, in_words
-from sysid.trust.assessment import FEWEST, Assessment, assess, explained_without
+from sysid.trust.assessment import FEWEST, Assessment, assess
 from sysid.trust.documents import (
     Arrays,
     Bootstrap,
@@ -34,7 +34,8 @@ from sysid.trust.documents import (
 )
 from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
-from sysid.trust.stated import contradictions, deciding, stated_values
+from sysid.trust.stated import deciding
+from sysid.trust.suspects import put_on_trial
 from sysid.trust.terms import freed
 from sysid.types import FloatArray
 from sysid.workflows.options import TrustOptions
@@ -50,8 +51,6 @@ _STATEMENT = (
 )
 # Least distance of the best set from the minimum that is worth a word [standard deviations].
 _MOVED = 2.0
-# Least misfit of a bad trial as the fit of the others predicts it [noise].
-_UNLIKE = 3.0
 
 
 def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = None) -> TrustDocument:
@@ -98,9 +97,10 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     rows = _parameters(opened.result, space, assessed, story.keys)
     # Why the interval of a parameter may miss the truth, by its name.
     doubts: dict[str, list[str]] = {row.name: [] for row in rows}
-    bad = _bad_trial(problem, judged, assessed.without) if lacks and assessed.without else None
-    if bad is not None:
-        journal.add(bad)
+    inquiry = put_on_trial(problem, assessed.noise, judged, assessed.without)
+    for finding in inquiry.findings:
+        journal.add(finding)
+    bad = any(finding.code == "bad-trial" for finding in inquiry.findings)
     _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks and not bad)
     record = opened.result.provenance
     same_file = record.get("campaign", {}).get("sha256") == opened.stated["sha256"]
@@ -110,13 +110,6 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         # The sentence of the fit stays: its numbers are of the best set.
         same = said.get(finding.code) if not finding.trials else None
         journal.add(replace(finding, sentence=same or finding.sentence))
-    stated = stated_values(space, assessed.noise)
-    wrong = [row.name for row in stated if row.contradicted]
-    if lacks and wrong and not explained_without(problem, assessed.noise, wrong):
-        # Missing physics, or a bad trial, pulls at stated values that are right.
-        stated = [row.model_copy(update={"contradicted": False}) for row in stated]
-    for finding in contradictions(stated, space):
-        journal.add(finding)
     for row in rows if lacks else ():
         doubts[row.name].append("the model does not explain the trials")
     for finding in _doubtful(space.found, rows, doubts, assessed, opened.result.cube[0]):
@@ -124,7 +117,8 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     known, given = story.known_words, story.given()
     statement = _STATEMENT + (f" ({known})" if known else "")
     statement += f"; given {' and '.join(given.values())}" if given else ""
-    boot_record, evaluations = None, assessed.profiles.evaluations + trials.evaluations
+    boot_record = None
+    evaluations = assessed.profiles.evaluations + trials.evaluations + inquiry.evaluations
     if boot is not None:
         boot_record = Bootstrap(resamples=len(boot.points), failed=int(np.count_nonzero(~boot.converged)))
         evaluations += boot.evaluations
@@ -134,7 +128,8 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         adequacy=judged,
         campaign=opened.stated,
         parameters=[_with_doubts(row, doubts[row.name]) for row in rows],
-        stated=stated,
+        stated=inquiry.stated,
+        suspects=inquiry.suspects,
         correlation=linear.information.correlation[: len(rows), : len(rows)].tolist(),
         noise=Noise(statement=statement, channels=_channels(opened, assessed, floors)),
         trials=[
@@ -154,31 +149,6 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         seconds=time.perf_counter() - began,
     )
     return document, _arrays(space, assessed)
-
-
-def _bad_trial(problem: Problem, before: Adequacy, without: Solved) -> Finding | None:
-    """Return a finding where noise explains all trials but one; `without` has the fits without each."""
-    found = []
-    for t, name in enumerate(problem.names):
-        if not np.isfinite(without.squares[t]):
-            continue
-        others = problem.only([other for other in problem.names if other != name])
-        row = problem.space.full(without.points[t][None])[0]
-        left = adequacy(others, row)
-        own = adequacy(problem.only([name]), row)
-        if left.verdict == EXPLAINED_BY and own.misfit.channel_ratio > _UNLIKE:
-            found.append((name, left))
-    if len(found) != 1:
-        return None
-    ((name, left),) = found
-    worst, now = (max(one.ratio, one.misfit.channel_ratio) for one in (before, left))
-    return Finding(
-        "bad-trial",
-        f"noise explains the others without {name}: {worst:.2f} × the noise in the worst channel falls to "
-        f"{now:.2f} ×; look at that log, "
-        'repeat it, or fit without it (use = "validate")',
-        size=before.ratio,
-    )
 
 
 def _doubtful(
@@ -255,7 +225,7 @@ def _notice_trials(
     unlike, alone = f": {look}", f"; {words.misleads} does that: {look}"
     unlike += f" or {words.remedy}" if words.remedy else ""
     if lacks:
-        unlike = alone = "; a term that the model lacks does that: try sysid ladder first"
+        unlike = alone = "; a term that the model lacks does that: try sysid explain first"
     for t in trials.outliers:
         others = float(np.median(np.delete(trials.ratio, t)))
         notice(

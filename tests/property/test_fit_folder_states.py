@@ -150,7 +150,7 @@ def machine(lab):
             self.run("trust", self.fit, "--resamples", "0", stop=stop)
 
         @precondition(fitted)
-        @rule(command=st.sampled_from(["cross-validate", "ladder", "show", "fits", "check", "compare"]))
+        @rule(command=st.sampled_from(["cross-validate", "explain", "show", "fits", "check", "compare"]))
         def reads(self, command):
             of = {"fits": (self.home,), "check": (self.campaign,), "compare": (self.fit, self.fit)}
             self.run(command, *of.get(command, (self.fit,)))

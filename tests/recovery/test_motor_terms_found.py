@@ -10,7 +10,7 @@ from sysid.fit.adequacy import adequacy
 from sysid.motor.static_curves import NoLoadTie
 from sysid.synthetic import synthesize_motor
 from sysid.synthetic.motor import TRIALS
-from sysid.trust.documents import LadderDocument
+from sysid.trust.documents import ExplainDocument
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.options import FitOptions
 
@@ -34,9 +34,9 @@ def test_a_supply_that_sags_is_not_explained_and_then_found(sagging, tmp_path, r
     assert judged["verdict"] == "not_explained"
     target = path.with_name("with-terms.toml")
     picture = tmp_path / "rungs.png"
-    code, shown, err = run("ladder", folder, "--adopt", target, "--figure", picture, "--quiet")
+    code, shown, err = run("explain", folder, "--adopt", target, "--figure", picture, "--quiet")
     assert (code, picture.is_file()) == (0, True), err
-    document = LadderDocument.read(folder)
+    document = ExplainDocument.read(folder)
     assert document.keep == ["supply sags"]
     kept = document.together[0].values
     # A bench of 6 s tells R and R_s to some percent.

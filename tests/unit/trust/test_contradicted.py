@@ -12,6 +12,7 @@ from sysid.trust.stated import contradictions, stated_values
 
 ERRORS = np.array([0.01, 0.02, 0.05])
 TRUE = np.array([1.0, 2.0, 3.0])
+FALLS = "4.00 × the noise falls to 1.01 ×"
 
 
 def space_of(stated):
@@ -65,10 +66,12 @@ def test_a_wrong_value_is_named_and_its_true_value_is_asked_for():
         assert rows[0].asked == pytest.approx(free[1], rel=1e-9)
         assert rows[0].sigma == pytest.approx(np.sqrt(np.linalg.inv(normal)[1, 1]), rel=1e-6)
         inside += abs(rows[0].asked - 1.0) < 1.96 * rows[0].sigma
-        (finding,) = contradictions(rows, space)
+        (finding,) = contradictions(rows, space, FALLS)
         assert finding.code == "stated-value-contradicted"
         assert "the campaign states 1.080 ± 0.010 kg (" in finding.sentence
-        assert finding.sentence.endswith(" standard errors): measure it again")
+        assert finding.sentence.endswith(
+            f" standard errors): with what they ask for {FALLS}; measure it again"
+        )
     assert inside >= 35
 
 
@@ -96,7 +99,7 @@ def test_values_that_trials_cannot_tell_apart_are_named_together():
     assert {wrong.name, *wrong.partners} == {"v0", "v1"}
     assert rows["v0"].asked == pytest.approx(1.0, abs=0.04)
     assert rows["v1"].asked == pytest.approx(1.8, abs=0.08)
-    assert "would do the same" in contradictions([*rows.values()], space)[0].sentence
+    assert "would do the same" in contradictions([*rows.values()], space, FALLS)[0].sentence
 
 
 def test_two_values_that_ask_for_each_other_look_exchanged():
@@ -106,7 +109,9 @@ def test_two_values_that_ask_for_each_other_look_exchanged():
     )  # fmt: skip
     other = row.model_copy(update={"name": "v1", "stated": 1.01, "asked": 1.09, "gain": 50.0})
     space = space_of(TRUE)
-    ends = [finding.sentence.partition("; ")[2] for finding in contradictions([row, other], space)]
+    ends = [
+        finding.sentence.partition("again; ")[2] for finding in contradictions([row, other], space, FALLS)
+    ]
     assert ends == ["it looks exchanged with v1", "it looks exchanged with v0"]
     elsewhere = other.model_copy(update={"asked": 1.2})
-    assert "exchanged" not in contradictions([row, elsewhere], space)[0].sentence
+    assert "exchanged" not in contradictions([row, elsewhere], space, FALLS)[0].sentence

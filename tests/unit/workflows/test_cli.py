@@ -147,7 +147,7 @@ def test_a_fit_of_a_wrong_slope_names_the_cause_and_offers_what_mends_it(drops, 
     offered = out[out.index("next:") :]
     assert "sysid check " in offered
     assert "campaign.toml" in offered
-    assert f"sysid ladder {folder}" in offered
+    assert f"sysid explain {folder}" in offered
     assert "export" not in offered
     assert run("report", folder)[0] == 0
     page = (folder / "report.html").read_text(encoding="utf-8")

@@ -43,7 +43,7 @@ def test_no_trial_is_to_be_dropped_before_the_terms_were_tried(fit, monkeypatch)
     lines = [line for line in fit().heard if "bends every parameter" in line or "hangs on" in line]
     assert len(lines) >= 2
     for line in lines:
-        assert line.endswith("; a term that the model lacks does that: try sysid ladder first")
+        assert line.endswith("; a term that the model lacks does that: try sysid explain first")
         assert "validate" not in line
 
 

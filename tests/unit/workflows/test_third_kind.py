@@ -137,7 +137,7 @@ def test_a_law_that_the_kind_does_not_know_is_refused(lag, refused):
     refused(words, "check", lag[0], "--surface", "hf")
 
 
-@pytest.mark.parametrize("verb", ["trust", "cross-validate", "ladder"])
+@pytest.mark.parametrize("verb", ["trust", "cross-validate", "explain"])
 def test_a_campaign_that_is_not_there_is_refused_by_the_name_that_was_typed(lag, refused, verb):
     words = f"nope.toml: no such campaign file; --campaign names the one of the fit {lag[1]}"
     refused(words, verb, lag[1], "--campaign", "nope.toml")

@@ -1,7 +1,8 @@
-"""A ladder as tables, a picture, and what to conclude of it."""
+"""An explanation as tables, a picture, and what to conclude of it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,8 +11,8 @@ from sysid.documents import rounded
 from sysid.fit.adequacy import EXPLAINED_BY
 from sysid.parameters import with_unit
 from sysid.report.drawing import panel
-from sysid.report.table import Cell, Table, number, numbers, percent, table, words
-from sysid.trust.documents import LadderDocument, LadderRung, TrustDocument
+from sysid.report.table import NONE, Cell, Table, number, numbers, percent, table, words
+from sysid.trust.documents import ExplainDocument, LadderRung, Suspect, TrustDocument
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,7 +23,11 @@ _LEAST = 0.01
 _MOST = 4
 
 
-def _rows(document: LadderDocument) -> list[tuple[str, LadderRung]]:
+# A line of the table, with its words.
+_Row = tuple[str, LadderRung | Suspect]
+
+
+def _rows(document: ExplainDocument) -> list[tuple[str, LadderRung]]:
     """Return every rung with its words: simpler models, the base, each term alone, then those kept."""
     rows = [(rung.terms[0], rung) for rung in document.simpler]
     rows.append(("as fitted", document.base))
@@ -45,7 +50,7 @@ def _chance(rung: LadderRung) -> str:
     return "< 0.001" if rung.chance < 1e-3 else number(rung.chance, 2)
 
 
-def _left_out(document: LadderDocument, count: str = "each") -> str:
+def _left_out(document: ExplainDocument, count: str = "each") -> str:
     """Return what was left out in turn, as in ``each trial`` or ``9 parts of trials``."""
     several = "" if count == "each" else "s"
     if document.parts:
@@ -53,7 +58,7 @@ def _left_out(document: LadderDocument, count: str = "each") -> str:
     return f"{count} trial{several}"
 
 
-def _changes(document: LadderDocument, rung: LadderRung, lost: set[str]) -> str:
+def _changes(document: ExplainDocument, rung: LadderRung, lost: set[str]) -> str:
     """Return the values of the terms and how far the parameters go that are not `lost`."""
     symbols, values, before = document.symbols, rung.values, document.base.values
     new = [
@@ -68,12 +73,23 @@ def _changes(document: LadderDocument, rung: LadderRung, lost: set[str]) -> str:
     return ", ".join([*new, *(f"{symbols[name]} {100 * moved[name]:+.0f} %" for name in far[:_MOST])])
 
 
-def rungs_table(document: LadderDocument) -> Table:
-    """Return what each term buys on what was left out."""
+def _in_words(one: Suspect) -> str:
+    """Return what a suspect is called: values of which nothing is stated, or a trial that is not fitted."""
+    names = " and ".join(one.names)
+    return f"{names} not stated" if one.what == "value" else f"without {names}"
+
+
+def rungs_table(document: ExplainDocument) -> Table:
+    """Return what stated values and single trials explain, and what each term buys on what was left out."""
     base = document.base
 
-    def kept(row: tuple[str, LadderRung]) -> Cell:
+    def left_out(row: _Row, text: Callable[[LadderRung], str]) -> str:
+        return NONE if isinstance(row[1], Suspect) else text(row[1])
+
+    def kept(row: _Row) -> Cell:
         rung = row[1]
+        if isinstance(rung, Suspect):
+            return Cell("accused", "bad") if rung.sentences else Cell("no")
         if rung is base:
             return Cell("")
         if rung in document.simpler:
@@ -86,14 +102,14 @@ def rungs_table(document: LadderDocument) -> Table:
         chances.append("of a kept one, that its value beside the others is none but for luck")
     simpler = "; of a simpler model: of the fit's model over it" if document.simpler else ""
     return table(
-        "What is missing in the model",
-        _rows(document),
+        "What is wrong in the campaign, and missing in the model",
+        [*((_in_words(one), one) for one in document.suspects), *_rows(document)],
         (
-            words("term", lambda row: row[0]),
+            words("changed", lambda row: row[0]),
             numbers("NRMSE, fitted", lambda row: number(row[1].over_noise, 3)),
-            numbers("misfit, left out", lambda row: number(_misfit(row[1]), 3)),
-            numbers("gain", lambda row: _gain(row[1]), "%"),
-            numbers("chance", lambda row: _chance(row[1])),
+            numbers("misfit, left out", lambda row: left_out(row, lambda rung: number(_misfit(rung), 3))),
+            numbers("gain", lambda row: left_out(row, _gain), "%"),
+            numbers("chance", lambda row: left_out(row, _chance)),
             words("keep", kept),
         ),
         "NRMSE, misfit: over noise; misfit: root mean square over the channels, of "
@@ -102,7 +118,7 @@ def rungs_table(document: LadderDocument) -> Table:
     )  # fmt: skip
 
 
-def moves_table(document: LadderDocument, trust: TrustDocument | None = None) -> Table:
+def moves_table(document: ExplainDocument, trust: TrustDocument | None = None) -> Table:
     """Return the values of every term, and how the parameters move with it.
 
     Parameters that `trust`, the intervals of the fit, calls not identifiable may move as they like.
@@ -119,7 +135,7 @@ def moves_table(document: LadderDocument, trust: TrustDocument | None = None) ->
     )
 
 
-def figure_rungs(document: LadderDocument) -> Figure:
+def figure_rungs(document: ExplainDocument) -> Figure:
     """Draw misfit over noise of what was left out, each as the fit of the others predicts it, and NRMSE."""
     rows = _rows(document)
     figure, axes = panel(0.8 + 0.32 * len(rows))
@@ -138,7 +154,15 @@ def figure_rungs(document: LadderDocument) -> Figure:
     return figure
 
 
-def conclusion(document: LadderDocument) -> list[str]:
+def conclusion(document: ExplainDocument) -> list[str]:
+    """Return what is accused, which terms to keep, or why none, and what the model still lacks."""
+    accused = [sentence for one in document.suspects for sentence in one.sentences]
+    if accused and not document.together:
+        return [*accused, "noise explains the rest: no physics is missing"]
+    return [*accused, *_of_physics(document)]
+
+
+def _of_physics(document: ExplainDocument) -> list[str]:
     """Return which terms to keep, or why none, what the model still lacks, and what no trial needs."""
     keep, judged = document.keep, document.adequacy
     worst = judged.misfit
@@ -167,6 +191,6 @@ def conclusion(document: LadderDocument) -> list[str]:
         f"is {nearest.terms[-1]}, with a chance of {_chance(nearest)} and a gain of "
         f"{_gain(nearest)} %",
         *lacking,
-        "fit more trials, unlike these, and climb again",
+        "fit more trials, unlike these, and explain again",
         *needless,
     ]

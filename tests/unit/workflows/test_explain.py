@@ -1,8 +1,9 @@
-"""`sysid ladder` keeps the term that the trials were made with, no other, and writes it into a campaign."""
+"""`sysid explain` keeps the term that the trials were made with, no other, and writes it into a campaign."""
 
 import json
 import shutil
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +12,13 @@ from fakes.fits import MOTOR, made_fit
 from fakes.lag_kind import TRUE, write_lag
 from fakes.places import SAMPLES
 from fakes.reports import SHORT
-from sysid.errors import FitError
+from sysid.campaign import read_campaign
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY
 from sysid.fit.store import write_fit
-from sysid.report.ladder import conclusion, figure_rungs, moves_table, rungs_table
-from sysid.trust.documents import FreeParameter, LadderDocument, LadderRung, TrustDocument, write_part
+from sysid.report.explain import conclusion, figure_rungs, moves_table, rungs_table
+from sysid.trust.documents import ExplainDocument, FreeParameter, LadderRung, TrustDocument, write_part
+from sysid.workflows.explain import edited
 from sysid.workflows.fit import fit_campaign, fit_gear
-from sysid.workflows.ladder import with_free
 from sysid.workflows.options import FitOptions
 from sysid.workflows.report import open_report
 
@@ -38,9 +39,9 @@ def lag(tmp_path_factory):
 def test_the_missing_term_is_kept_and_adopted(lag, run, tmp_path):
     path, folder = lag
     target, picture = path.parent / "with-terms.toml", tmp_path / "rungs.svg"
-    code, out, err = run("ladder", folder, "--adopt", target, "--figure", picture, "--quiet")
+    code, out, err = run("explain", folder, "--adopt", target, "--figure", picture, "--quiet")
     assert code == 0, err
-    document = LadderDocument.read(folder)
+    document = ExplainDocument.read(folder)
     assert document.keep == ["offset"]
     assert document.parameters == ["offset"]
     base, kept = document.base, document.alone[0]
@@ -64,52 +65,57 @@ def test_the_missing_term_is_kept_and_adopted(lag, run, tmp_path):
     assert [label.get_text() for label in labels] == ["as fitted", "offset", "kept: offset"]
     assert picture.stat().st_size > 1000
     # It can be read again without computing it again.
-    assert "ladder: keep offset" in run("show", folder)[1]
+    assert "explain: keep offset" in run("show", folder)[1]
     assert run("report", folder)[0] == 0
     assert "offset 0.2" in (folder / "report.html").read_text("utf-8")
 
 
 def test_a_right_model_is_kept_as_it_is(tmp_path, run):
     path, folder = fitted(tmp_path, names=NAMES)
-    code, out, err = run("ladder", folder, "--out", path.parent / "nothing.toml", "--quiet")
+    code, out, err = run("explain", folder, "--out", path.parent / "nothing.toml", "--quiet")
     assert (code, err) == (0, "")
-    document = LadderDocument.read(folder)
+    document = ExplainDocument.read(folder)
     assert document.keep == []
     assert document.alone[0].chance > 0.05
-    assert "What is missing in the model" in out
+    assert "What is wrong in the campaign, and missing in the model" in out
     assert "nothing.toml was not written: no term is kept" in out.replace("\n", " ")
     assert not (path.parent / "nothing.toml").exists()
 
 
 def test_refusals(lag, tmp_path, refused):
     path, folder = lag
-    refused("write it to", "ladder", folder, "--adopt", tmp_path / "elsewhere.toml")
-    refused("exists", "ladder", folder, "--adopt", path)
-    refused("unknown figure format '.gif'", "ladder", folder, "--figure", tmp_path / "a.gif")
-    refused("does not exist", "ladder", folder, "--figure", tmp_path / "none" / "a.png")
+    refused("exists", "explain", folder, "--adopt", path)
+    refused("unknown figure format '.gif'", "explain", folder, "--figure", tmp_path / "a.gif")
+    refused("does not exist", "explain", folder, "--figure", tmp_path / "none" / "a.png")
     (tmp_path / "there.png").touch()
-    refused("exists", "ladder", folder, "--figure", tmp_path / "there.png")
+    refused("exists", "explain", folder, "--figure", tmp_path / "there.png")
     _, few = fitted(tmp_path, names=NAMES[:5])
-    refused("needs 5 or more", "ladder", few)
+    refused("needs 5 or more", "explain", few)
     # Terms that high friction lacks say nothing of the low friction that the campaign states.
     drops = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
     _, other = fit_gear(drops, FitOptions(tmp_path / "hf", **SHORT, trust=False), surface="hf")
     words = ["another law", "surface hf", "--campaign"]
-    refused(words, "ladder", other, "--adopt", drops.with_name("terms.toml"))
+    refused(words, "explain", other, "--adopt", drops.with_name("terms.toml"))
 
 
-def test_a_campaign_that_cannot_be_edited_is_refused_after_all_is_printed(tmp_path, run):
-    path, folder = fitted(tmp_path, names=NAMES, offset=0.2)
-    text = path.read_text("utf-8")
-    path.write_text(text.replace("[fit]", 'parameters.free = ["gain", "time_constant"]\n[fit]'), "utf-8")
-    code, out, err = run("ladder", folder, "--adopt", tmp_path / "new.toml", "--quiet")
-    assert code == 2
-    assert "keep offset" in out
-    assert 'free = ["gain", "time_constant", "offset"]' in err
-    assert not (tmp_path / "new.toml").exists()
+def test_a_campaign_is_adopted_in_any_folder_with_its_comments(lag, run, tmp_path):
+    path, folder = lag
+    (tmp_path / "deep").mkdir()
+    target = tmp_path / "deep" / "new.toml"
+    code, _, err = run("explain", folder, "--adopt", target, "--quiet")
+    assert code == 0, err
+    adopted, source = (tomllib.loads(file.read_text("utf-8")) for file in (target, path))
+    assert adopted.pop("parameters")["free"] == ["gain", "time_constant", "offset"]
+    for one, other in zip(adopted["trials"], source["trials"], strict=True):
+        assert (target.parent / one.pop("log")).resolve() == (path.parent / other.pop("log")).resolve()
+    source.pop("parameters", None)
+    assert adopted == source
+    assert read_campaign(target).name == read_campaign(path).name
 
 
-FREE = 'name = "a"\n[parameters]\nfree = [\n  "c", # one\n  "d",\n]\nbounds = {}\n[[trials]]\nname = "b"\n'
+FREE = (
+    'name = "a"\n[parameters]\nfree = [\n  "c", # one [1]\n  "d",\n]\nbounds = {}\n[[trials]]\nname = "b"\n'
+)
 
 
 @pytest.mark.parametrize(
@@ -118,30 +124,19 @@ FREE = 'name = "a"\n[parameters]\nfree = [\n  "c", # one\n  "d",\n]\nbounds = {}
         'name = "a"\n[[trials]]\nname = "b"\n',
         'name = "a"\n[parameters]  # chosen\nfixed = { c = "1 s" }\n[[trials]]\nname = "b"\n',
         FREE,
-    ],
-)
-def test_only_the_free_parameters_of_a_campaign_change(text):
-    changed = tomllib.loads(with_free(text, ["x", "y"]))
-    expected = tomllib.loads(text)
-    expected.setdefault("parameters", {})["free"] = ["x", "y"]
-    assert json.dumps(changed, sort_keys=True) == json.dumps(expected, sort_keys=True)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        FREE.replace("# one", "# one [1]"),
         FREE.replace("[parameters]\n", '[other]\nfree = ["e"]\n[parameters]\n'),
-        '[ parameters ]\nfixed = { c = "1 s" }\n',
-        'parameters.free = ["c"]\n',
-        'parameters = { free = ["c"] }\n',
-        '["parameters"]\n"free" = ["c"]\n',
+        'parameters.free = ["c"]\n[[trials]]\nname = "b"\n',
+        'parameters = { free = ["c"] }\n[[trials]]\nname = "b"\n',
+        '[[trials]]\nname = "b"\n["parameters"]\n"free" = ["c"]\n',
     ],
 )
-def test_a_text_in_which_another_thing_would_change_is_refused_with_the_line_to_write(text):
-    tomllib.loads(text)
-    with pytest.raises(FitError, match=r'table \[parameters\] of the copy: free = \["x", "y"\]$'):
-        with_free(text, ["x", "y"])
+def test_free_parameters_and_the_bad_trial_of_a_campaign_change_and_nothing_else(text):
+    here = Path("a/campaign.toml")
+    changed, expected = tomllib.loads(edited(text, ["x", "y"], ["b"], here, here)), tomllib.loads(text)
+    expected.setdefault("parameters", {})["free"] = ["x", "y"]
+    expected["trials"][0]["use"] = "validate"
+    assert json.dumps(changed, sort_keys=True) == json.dumps(expected, sort_keys=True)
+    assert ("# one [1]" in text) <= ("bounds = {}" in edited(text, ["x", "y"], [], here, here))
 
 
 def ladder_of(parts=False, keep=("slide rubs dry",), verdict=NOT_BY, chance=0.02, kind="gear"):
@@ -167,7 +162,7 @@ def ladder_of(parts=False, keep=("slide rubs dry",), verdict=NOT_BY, chance=0.02
             "trial_ratio": 2.0,
         },
     }  # fmt: skip
-    return LadderDocument(
+    return ExplainDocument(
         fit="bench", kind=kind, campaign={"file": "c.toml", "sha256": ""},
         trials=[f"drop-{k}" for k in range(7)], parts=parts, adequacy=judged, base=rung(misfit=2.4),
         alone=[drag, dry], together=[dry],
@@ -241,15 +236,15 @@ def test_a_report_shows_the_ladder_and_takes_it_for_no_validation(kind, tmp_path
         fit_campaign(SAMPLES / "gear-lf" / "campaign.toml", FitOptions(folder, **SHORT, trust=False))
     else:
         write_fit(made_fit(MOTOR), folder)
-    assert f"run sysid ladder {folder}" in open_report(folder).section("What the model lacks").text
+    assert f"run sysid explain {folder}" in open_report(folder).section("What the model lacks").text
     write_part(folder, ladder_of(kind=kind), {})
     figures = tmp_path / "figures"
     code, _, err = run("report", folder, "--quiet", *(("--figure", figures) if kind == "motor" else ()))
     assert code == 0, err
     assert (figures / "ladder.pdf").is_file() == (kind == "motor")
     page = (folder / "report.html").read_text("utf-8")
-    assert "What is missing in the model" in page
+    assert "What is wrong in the campaign, and missing in the model" in page
     assert "keep slide rubs dry" in page
     assert "validation on ladder" not in page
     shown = run("show", folder)[1]
-    assert f"ladder: keep slide rubs dry; all of it: sysid report {folder}" in shown.replace("\n", "")
+    assert f"explain: keep slide rubs dry; all of it: sysid report {folder}" in shown.replace("\n", "")

@@ -1,0 +1,158 @@
+"""Who is wrong: stated values and single trials, tried before any physics.
+
+A value is accused where the trials contradict its statement (`sysid.trust.stated`); of a fit that noise does
+not explain, where noise explains it once nothing is stated of the contradicted values, because missing
+physics and a bad trial pull at right values, too. A trial is accused where noise explains all others, which
+predict it badly, and no value is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from sysid.documents import channel_symbol
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy
+from sysid.fit.problem import Problem
+from sysid.journal import Finding
+from sysid.trust.documents import StatedValue, Suspect
+from sysid.trust.least_squares import Solved, solve
+from sysid.trust.linearized import Linearized
+from sysid.trust.stated import contradictions, stated_values
+from sysid.types import FloatArray
+
+# Number of stated values that are tried alone where noise does not explain the fit, by what each would gain.
+_ALONE = 3
+# Number of iterations of a fit without a statement.
+_ITERATIONS = 8
+# Least misfit of a bad trial as the fit of the others predicts it [noise].
+_UNLIKE = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Inquiry:
+    """What was tried, what became of the stated values, and a finding for everybody who is accused."""
+
+    suspects: list[Suspect]
+    stated: list[StatedValue]
+    findings: list[Finding]
+    evaluations: int
+
+
+def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without: Solved | None) -> Inquiry:
+    """Try who may be wrong; `linear` is what noise leaves open, `without` are the fits without each trial."""
+    space = problem.space
+    rows, lacks = stated_values(space, linear), judged.verdict == NOT_BY
+    wrong = [row.name for row in rows if row.contradicted]
+    sets = [wrong] if wrong else []
+    if lacks:
+        largest = sorted(rows, key=lambda row: -row.gain)[:_ALONE]
+        sets += [[row.name] for row in largest if [row.name] != wrong]
+    suspects: list[Suspect] = []
+    findings: list[Finding] = []
+    evaluations = 0
+    if sets:
+        points, evaluations = _freed(problem, linear, sets, wrong)
+        *tried, as_stated = [adequacy(problem, row) for row in space.full(points)]
+        if wrong and lacks and tried[0].verdict == NOT_BY:
+            rows = [row.model_copy(update={"contradicted": False}) for row in rows]
+        findings = contradictions(rows, space, _falls(as_stated, tried[0]))
+        accused = [one.sentence for one in findings]
+        suspects = [
+            _suspect("value", names, one, accused if names == wrong else [])
+            for names, one in zip(sets, tried, strict=True)
+        ]
+    if lacks and without is not None:
+        others = _trials(problem, judged, without)
+        bad = [one for one in others if one.sentences]
+        if len(bad) == 1 and not findings:
+            findings = [
+                Finding("bad-trial", bad[0].sentences[0], trials=tuple(bad[0].names), size=judged.ratio)
+            ]
+        else:
+            others = [one.model_copy(update={"sentences": []}) for one in others]
+        suspects += others
+    return Inquiry(suspects, rows, findings, evaluations)
+
+
+def without_accused(
+    problem: Problem, point: FloatArray, suspects: Sequence[Suspect]
+) -> tuple[Problem, FloatArray]:
+    """Return what is left to explain, and the point (n,) [unit cube] in it: nobody accused has a say."""
+    for one in suspects:
+        if one.sentences and one.what == "trial":
+            problem = problem.only([name for name in problem.names if name not in one.names])
+        elif one.sentences:
+            at = dict(zip(problem.space.names, point.tolist(), strict=True))
+            problem = replace(problem, space=problem.space.unstating(one.names))  # type: ignore[type-var]
+            point = np.array([at[name] for name in problem.space.names])
+    return problem, point
+
+
+def _freed(
+    problem: Problem, linear: Linearized, sets: Sequence[Sequence[str]], wrong: Sequence[str]
+) -> tuple[FloatArray, int]:
+    """Return where fits end of which each set is not stated, and last the fit with `wrong` as stated.
+
+    Points (F + 1, n) [unit cube], and how many were simulated.
+    """
+    space, stop = problem.space, problem.blocks[-1].stop
+    places = {name: i for i, name in enumerate(space.stated)}
+    weights = np.ones((len(sets) + 1, len(linear.scale)))
+    for f, names in enumerate(sets):
+        weights[f, [stop + places[name] for name in names]] = 0.0
+    starts, fixed = (
+        np.repeat(linear.point[None], len(weights), axis=0),
+        np.zeros((len(weights), len(linear.point)), bool),
+    )
+    stated = np.clip(
+        space.encode(np.array([space.stated.get(row.name, row.nominal) for row in space.free])), 0, 1
+    )
+    for name in wrong:
+        column = space.names.index(name)
+        starts[-1, column], fixed[-1, column] = stated[column], True
+    solved = solve(
+        problem, starts, linear.scale, rise=linear.jacobian.rise, curvature=linear.information.curvature,
+        fixed=fixed, kept=linear.kept(space), weights=lambda part: weights[part], tolerance=linear.tolerance,
+        iterations=_ITERATIONS,
+    )  # fmt: skip
+    return solved.points, solved.evaluations
+
+
+def _trials(problem: Problem, before: Adequacy, without: Solved) -> list[Suspect]:
+    """Return every trial, with a sentence where noise explains the others, which predict it badly."""
+    out = []
+    for t, name in enumerate(problem.names):
+        if not np.isfinite(without.squares[t]):
+            continue
+        row = problem.space.full(without.points[t][None])[0]
+        left = adequacy(problem.only([other for other in problem.names if other != name]), row)
+        own = adequacy(problem.only([name]), row)
+        sentences = []
+        if left.verdict == EXPLAINED_BY and own.misfit.channel_ratio > _UNLIKE:
+            sentences = [
+                f"noise explains the others without {name}: {_falls(before, left)}; look at that log, repeat "
+                'it, or fit without it (use = "validate")'
+            ]
+        out.append(_suspect("trial", [name], left, sentences))
+    return out
+
+
+def _suspect(
+    what: Literal["value", "trial"], names: Sequence[str], judged: Adequacy, sentences: list[str]
+) -> Suspect:
+    return Suspect(
+        what=what, names=[*names], over_noise=judged.ratio, worst_channel=judged.misfit.channel_ratio,
+        verdict=judged.verdict, sentences=sentences,
+    )  # fmt: skip
+
+
+def _falls(before: Adequacy, after: Adequacy) -> str:
+    """Return how the misfit falls, in words; in the worst channel where the mean does not show it."""
+    if before.ratio > before.limits[EXPLAINED_BY]:
+        return f"{before.ratio:.2f} × the noise falls to {after.ratio:.2f} ×"
+    symbol, worst = channel_symbol(before.misfit.channel), before.misfit.channel_ratio
+    return f"{worst:.2f} × the noise of {symbol} falls to {after.misfit.channel_ratio:.2f} ×"
