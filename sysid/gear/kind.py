@@ -82,12 +82,12 @@ def notice_defaults(problem: GearProblem) -> None:
     if left:
         notice(
             "values-of-the-paper",
-            f"not in the campaign, so the values of the paper's F450 are used: {', '.join(left)}; "
-            "state your own",
+            f"not in the campaign, so the values of the paper's F450, scaled to this vehicle, are used: "
+            f"{', '.join(left)}; state your own",
         )
     for name in {*NEVER_IN_DROPS} - given:
         value = f"{problem.space.fixed[name]:.4g} {PARAMETERS[name].unit}"
-        tell(f"{name}: the paper's {value}; no drop depends on it, only simulations with thrust do")
+        tell(f"{name}: {value}, the paper's scaled to the feet; no drop depends on it, maps and exports do")
 
 
 def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:

@@ -152,7 +152,7 @@ def test_a_name_that_no_folder_may_have_everywhere_is_refused(name, tmp_path):
 
 def test_wrong_kind_and_missing_files(tmp_path):
     path = _write(tmp_path, TEMPLATES["gear"])
-    with pytest.raises(CampaignError, match="expected motor; use 'sysid fit-gear'"):
+    with pytest.raises(CampaignError, match="expected motor; use 'sysid fit'"):
         read_campaign(path, "motor")
     with pytest.raises(CampaignError, match="no such campaign file"):
         read_campaign(tmp_path / "nowhere.toml")

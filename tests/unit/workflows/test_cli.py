@@ -178,6 +178,7 @@ def test_a_minimal_campaign_says_what_the_logs_say_and_refuses_the_rest(tmp_path
     measured = {
         "body_mass": "1.242 kg", "body_inertia": "0.0137 kg·m²", "foot_dx": "105 mm", "foot_dz": "151 mm",
         "leg_mass": "0.02 kg", "leg_inertia": "2e-4 kg·m²", "kinetic_friction": "0.44",
+        "thrust_point_dx": "159 mm",
     }  # fmt: skip
     for key, value in measured.items():
         text = re.sub(rf'(?m)^{key} = "TODO[^"]*"', f'{key} = "{value}"', text)
