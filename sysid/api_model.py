@@ -126,8 +126,8 @@ def model(
 
     ``simulate(values, time, trial)`` returns what the trial should have measured: an array (n, channels), or
     (n,) for one channel. `values` has a number for every parameter [SI], `time` (n,) are the log's instants
-    [s], and `trial` has the measured channels and the inputs by name. An exception, NaN and a simulation
-    longer than `patience` [s] are counted failures.
+    [s], and `trial` has the measured channels and the inputs by name. An exception, NaN, another shape and a
+    simulation longer than `patience` [s] are counted failures; compiled code cannot be ended.
 
     Parameters
     ----------

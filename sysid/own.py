@@ -268,7 +268,7 @@ class OwnProblem(Problem):
                 one = {name: row[i] for name, i in places.items()}
                 cause[p, t] = self._simulated(one, log, signals[t][p])
         by_channel, failed = self.cost(samples, threads=self.threads)
-        for p, t in np.argwhere(failed & (cause == 0)):
+        for p, t in zip(*np.nonzero(failed & (cause == 0)), strict=True):
             lost = {name: numbers[p][i] for name, i in self._places[t].items()}
             cause[p, t] = self._keep(_NOT_FINITE, self.records[t], lost, "")
         return Prediction(by_channel, cause, signals)

@@ -422,9 +422,10 @@ class SetsContent:
             )
         return out
 
-    def content(self) -> dict[str, Any]:
-        """Return these fields by name."""
-        return {field.name: getattr(self, field.name) for field in fields(SetsContent)}
+
+def content_of(sets: SetsContent) -> dict[str, Any]:
+    """Return the shared fields by name."""
+    return {field.name: getattr(sets, field.name) for field in fields(SetsContent)}
 
 
 class RankedSet(dict[str, float]):

@@ -207,7 +207,7 @@ class SearchSpace:
         """Names of the free parameters in search order."""
         return tuple(p.name for p in self.free)
 
-    @property
+    @cached_property
     def columns(self) -> list[int]:
         """Places of the free parameters in the table, in search order."""
         return [self.table.index[p.name] for p in self.free]

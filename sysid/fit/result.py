@@ -13,7 +13,7 @@ from sysid.errors import FitError
 from sysid.fit.history import RunHistory
 from sysid.fit.optima import Agreement, agreement
 from sysid.journal import Finding
-from sysid.parameter_sets import ParameterRecord, ParameterSets, SetsContent
+from sysid.parameter_sets import ParameterRecord, ParameterSets, SetsContent, content_of
 from sysid.parameters import SearchSpace, about, in_words, with_unit
 from sysid.shown import Brief
 from sysid.types import BoolArray, FloatArray, Spectrum
@@ -186,7 +186,7 @@ class FitResult(SetsContent):
     def parameter_sets(self) -> ParameterSets:
         """Return the ranked sets in the form in which they are exported."""
         return ParameterSets(
-            **self.content(),
+            **content_of(self),
             runs=self.set_runs,
             seeds=self.set_seeds,
             trials=tuple(trial.name for trial in self.trials),

@@ -21,7 +21,7 @@ from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.provenance import FitDocument
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import run_record, summary
-from sysid.parameter_sets import ParameterSets, SetsDocument, SetsMetadata
+from sysid.parameter_sets import ParameterSets, SetsDocument, SetsMetadata, content_of
 from sysid.storage import (
     FileKind,
     check_folder,
@@ -153,7 +153,7 @@ def read_fit(path: str | Path) -> FitResult:
         )
         _check_copy(file_path.with_name("fit.json"), sets)
         return FitResult(
-            **sets.content(),
+            **content_of(sets),
             trials=tuple(map(_read_trial, numbered(file, "trials"))),
             state=file.attrs["state"],
             runs=tuple(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sysid.types import BoolArray, FloatArray
+from sysid.types import BoolArray, FloatArray, IntArray
 
 # The one cause of failure where a problem names none.
 UNNAMED_CAUSE = ("simulation failed",)
@@ -36,9 +37,14 @@ class Cost:
 
     def mean(self, by_channel: FloatArray) -> FloatArray:
         """Return the weighted mean (...) over channels, then over trials, of (..., T, C) NRMSE [1]."""
-        used = self.weights > 0
-        weights = self.weights[used] / self.weights[used].sum()
-        return np.mean(np.sum(by_channel[..., used] * weights, axis=-1), axis=-1)
+        used, shares = self._shares
+        return np.asarray((by_channel[..., used] * shares).sum(axis=-1).mean(axis=-1))
+
+    @cached_property
+    def _shares(self) -> tuple[IntArray, FloatArray]:
+        """Channels that count, and their shares in the mean [1]."""
+        used = np.flatnonzero(self.weights > 0)
+        return used, self.weights[used] / self.weights[used].sum()
 
 
 @dataclass(frozen=True, eq=False)

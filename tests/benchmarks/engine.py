@@ -9,6 +9,8 @@ Run ``python tests/benchmarks/engine.py PART [--problem NAME] [--seeds 5] [--jso
 ``workers``
     The same search on one core and on two, with Dask worker processes and with threads; everything is pinned
     to the cores (Linux), so that with one of them breeding and scheduling run nowhere else.
+``overhead``
+    Time per simulation [µs] of a user's function by itself, in `predict` and in `evaluate`, by population.
 
 ``engine.md`` has the tables, and what former parts of this file have answered.
 """
@@ -20,13 +22,16 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 import campaigns
-from paired import flags, report
+import sysid
+from paired import best, flags, report
 from sysid.fit.problem import computed_by
 from sysid.fit.search import run_many, run_one
 from sysid.fit.settings import SearchSettings
 from sysid.parallel import DaskCluster, LocalThreads
+from sysid.workflows.kinds import open_campaign
 
 
 def problem(name, folder, threads=None):
@@ -126,6 +131,33 @@ def workers(arguments, folder):
     return out | {"load": os.getloadavg()[0]}
 
 
+def overhead(arguments, folder):
+    """Four logs of 200 samples, and a function that takes some 3 µs; one thread."""
+    time, trials = np.arange(200) / 200, {}
+
+    def decay(values, time, trial):
+        return values["start"] * np.exp(-values["rate"] * time)
+
+    parameters = {"rate": (0.1, 10.0, "1/s"), "start": (0.1, 5.0, "V")}
+    owner = sysid.model("decay_timed", decay, parameters=parameters, channels={"level": "V"})
+    for k in range(4):
+        noise = 0.01 * np.random.default_rng(k).standard_normal(200)
+        trials[str(k)] = pd.DataFrame({"level": 2 * np.exp(-3 * time) + noise}, index=time)
+    kept = owner.campaign(trials)
+    kind, content, _ = open_campaign(kept.path)
+    one = kind.open(content, kept.path, 1)
+    values, log = {"rate": 3.0, "start": 2.0}, one.records[0]
+    out = {
+        "bare": 1e6 * best(lambda: [decay(values, log.time, log.inputs) for _ in range(2000)], 9)[0] / 2000
+    }
+    for count in (1, 5, 100, 400):
+        cube, calls = np.random.default_rng(0).random((count, 2)), 1 + 2000 // count
+        for what, given in ((one.predict, one.space.full(cube)), (one.evaluate, cube)):
+            spent, _ = best(lambda call=what, rows=given, n=calls: [call(rows) for _ in range(n)], 9)
+            out[f"{what.__name__}: {count}"] = 1e6 * spent / calls / count / 4
+    return out
+
+
 def _pin(cores):
     """Keep all threads of this process on some cores; those that it starts inherit them."""
     for thread in Path("/proc/self/task").iterdir():
@@ -140,7 +172,7 @@ def _processor_time(where):
 
 def main():
     parser = flags(__doc__, seeds=5, first_seed=1, generations=8, pairs=3)
-    parser.add_argument("part", choices=["finishers", "workers"])
+    parser.add_argument("part", choices=["finishers", "workers", "overhead"])
     parser.add_argument("--problem", choices=list(campaigns.CAMPAIGNS), default="lf")
     parser.add_argument("--campaigns", type=lambda text: text.split(","), default=list(campaigns.CAMPAIGNS))
     arguments = parser.parse_args()

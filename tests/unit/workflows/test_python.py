@@ -4,7 +4,10 @@ import dataclasses
 import doctest
 import inspect
 import math
+import re
 import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -12,7 +15,7 @@ import pytest
 import sysid
 from fakes.fits import full_fit
 from fakes.lag_kind import TRUE, write_lag
-from fakes.places import PUBLISHED, SAMPLES
+from fakes.places import PUBLISHED, ROOT, SAMPLES
 from sysid import api, api_landing, api_model, errors, marks, parameter_sets, testing
 from sysid.gear import model as gear_model
 from sysid.motor import model as motor_model
@@ -107,6 +110,39 @@ def test_what_is_offered_is_listed_documented_and_shown():
     assert [name for name in offered if f"sysid.{name}" not in examples] == []
     with pytest.raises(AttributeError, match="no attribute 'fit_gears'"):
         _ = sysid.fit_gears
+
+
+def members(offered):
+    """Yield functions that a public name is or has, with their names."""
+    if not inspect.isclass(offered):
+        yield offered.__name__, offered
+        return
+    for name, member in inspect.getmembers(offered):
+        made = member.fget if isinstance(member, property) else member
+        if not name.startswith("_") and (inspect.isfunction(made) or inspect.ismethod(made)):
+            yield f"{offered.__name__}.{name}", made
+
+
+def test_no_public_name_returns_any():
+    offered = [getattr(sysid, name) for name in dir(sysid) if not name.startswith("_")]
+    returned = {
+        name: str(inspect.signature(made).return_annotation)
+        for one in (*offered, testing.check_kind)
+        for name, made in members(one)
+    }
+    assert len(returned) > 40
+    assert [name for name, what in returned.items() if re.search(r"\bAny\b|_empty", what)] == []
+
+
+@pytest.mark.slow
+def test_a_users_script_with_every_public_name_is_typed():
+    script = ROOT / "tests" / "fakes" / "typed_script.py"
+    text = script.read_text(encoding="utf-8")
+    assert [name for name in dir(sysid) if f"sysid.{name}" not in text] == []
+    assert (ROOT / "sysid" / "py.typed").is_file()
+    mypy = [sys.executable, "-m", "mypy", "--strict", str(script)]
+    done = subprocess.run(mypy, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
 
 
 # What a command asks and Python does not: where results are printed and written.
