@@ -16,6 +16,7 @@ from sysid.errors import ExportError, FitError, SysidError
 from sysid.export import binary, spreadsheet
 from sysid.fit.result import FitResult
 from sysid.fit.store import FIT_FILE, read_fit
+from sysid.gear.parameters import PARAMETERS as OF_GEAR
 from sysid.motor.parameters import PARAMETERS as OF_MOTOR
 from sysid.parameter_sets import ParameterSets, SetsContent, SetsDocument
 from sysid.storage import path_of, schema_of, write_file
@@ -111,12 +112,7 @@ def _judge(sets: SetsContent, file: str | Path, remedy: str, error_type: type[Sy
 
     NaN is a number that nothing determined; what needs it refuses it.
     """
-    table = OF_MOTOR if sets.kind == "motor" else None
-    if sets.kind == "gear":
-        # Imported here, because the gear's table loads the compiler, which no start of a command may do.
-        from sysid.gear.parameters import PARAMETERS as OF_GEAR
-
-        table = OF_GEAR
+    table = {"motor": OF_MOTOR, "gear": OF_GEAR}.get(sets.kind)
     for i, record in enumerate(sets.parameters):
         row = table.get(record.name.partition("[")[0]) if table else None
         if row is None:

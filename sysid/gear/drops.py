@@ -17,7 +17,7 @@ from sysid.campaign.logs import CaptureLogOptions, load_stated, warn_of_idle_opt
 from sysid.errors import LogError, SysidError
 from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget
-from sysid.gear.parameters import parameters_on
+from sysid.gear.model import parameters_on
 from sysid.gear.plausible import notice_contradictions, notice_slope
 from sysid.gear.swaps import swaps
 from sysid.journal import Journal, note, notice

@@ -45,9 +45,10 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Literal, TypedDict
 
 import numpy as np
@@ -56,11 +57,13 @@ from numpy.typing import ArrayLike, NDArray
 from sysid.errors import CampaignError
 from sysid.gear.kernel import driver as kernel
 from sysid.gear.kernel import parameter_row
-from sysid.gear.parameters import PARAMETERS, parameters_on
+from sysid.gear.parameters import PARAMETERS
 from sysid.gear.propulsion import Propulsion, plans
 from sysid.gear.surfaces import SURFACES, Surface, find_surface
+from sysid.parameters import ParameterTable
 from sysid.shown import Brief
 from sysid.types import FloatArray, IntArray
+from sysid.units import powers_of_unit
 
 LF_FREE = SURFACES["lf"].free
 COORDINATES = ("x_B", "z_B", "q_B", "h_C", "q_C", "h_D", "q_D")
@@ -260,6 +263,37 @@ def _frozen(values: ArrayLike) -> FloatArray:
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array
+
+
+def parameters_on(
+    surface: str | Surface, vehicle: Mapping[str, float] = MappingProxyType({})
+) -> ParameterTable:
+    """Return the table with a surface's defaults and bounds, such as Table II's high-friction means.
+
+    Defaults and bounds of the paper's F450 are scaled to the body_mass, foot_dx, foot_dz and gravity of
+    `vehicle` [SI]: masses with its mass, lengths with its feet, times with the time that it takes to fall
+    from their height. A value that `vehicle` lacks is the F450's, with which nothing changes.
+    """
+    law = find_surface(surface)
+    default = {name: PARAMETERS[name].nominal for name in ("body_mass", "foot_dx", "foot_dz", "gravity")}
+    ratio = {name: float(vehicle.get(name, value)) / value for name, value in default.items()}
+    mass, length = ratio["body_mass"], math.sqrt(ratio["foot_dx"] * ratio["foot_dz"])
+    time = math.sqrt(length / ratio["gravity"])
+    along = {"joint_dx": "foot_dx", "thrust_point_dx": "foot_dx", "joint_dz": "foot_dz"}
+    rows = []
+    for name, row in PARAMETERS.items():
+        if name in law.nominal:
+            row = replace(row, nominal=law.nominal[name], source=f"{law.source}; bounds guessed")
+        lower, upper = law.bounds.get(name, (row.lower, row.upper))
+        row, powers = replace(row, lower=lower, upper=upper), powers_of_unit(row.unit)
+        factor = mass ** powers[0] * length ** powers[1] * time ** powers[2]
+        factor = ratio[along[name]] if name in along else factor
+        if name != "gravity" and factor != 1.0:
+            # How sharply friction sets in is a choice of the model, whatever the vehicle.
+            nominal = row.nominal * (1.0 if name == "slip_regularization" else factor)
+            row = replace(row.scaled(factor), nominal=nominal, source=f"{row.source}; scaled to the vehicle")
+        rows.append(row)
+    return ParameterTable(rows, PARAMETERS.derived)
 
 
 def pack(values: Mapping[str, float], surface: str | Surface = "lf") -> FloatArray:

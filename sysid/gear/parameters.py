@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
-from types import MappingProxyType
 
-from sysid.gear.surfaces import Surface, find_surface
 from sysid.parameters import Parameter, ParameterTable
-from sysid.units import powers_of_unit
 
 _MEASURED = "Table II, measured"
 _LF = "Table II, low friction, mean of five fits; bounds guessed"
@@ -99,34 +94,3 @@ PARAMETERS = ParameterTable(
     derived=("leg_length", "leg_rest_angle", *CAPTURED),
 )
 # fmt: on
-
-
-def parameters_on(
-    surface: str | Surface, vehicle: Mapping[str, float] = MappingProxyType({})
-) -> ParameterTable:
-    """Return the table with a surface's defaults and bounds, such as Table II's high-friction means.
-
-    Defaults and bounds of the paper's F450 are scaled to the body_mass, foot_dx, foot_dz and gravity of
-    `vehicle` [SI]: masses with its mass, lengths with its feet, times with the time that it takes to fall
-    from their height. A value that `vehicle` lacks is the F450's, with which nothing changes.
-    """
-    law = find_surface(surface)
-    default = {name: PARAMETERS[name].nominal for name in ("body_mass", "foot_dx", "foot_dz", "gravity")}
-    ratio = {name: float(vehicle.get(name, value)) / value for name, value in default.items()}
-    mass, length = ratio["body_mass"], math.sqrt(ratio["foot_dx"] * ratio["foot_dz"])
-    time = math.sqrt(length / ratio["gravity"])
-    along = {"joint_dx": "foot_dx", "thrust_point_dx": "foot_dx", "joint_dz": "foot_dz"}
-    rows = []
-    for name, row in PARAMETERS.items():
-        if name in law.nominal:
-            row = replace(row, nominal=law.nominal[name], source=f"{law.source}; bounds guessed")
-        lower, upper = law.bounds.get(name, (row.lower, row.upper))
-        row, powers = replace(row, lower=lower, upper=upper), powers_of_unit(row.unit)
-        factor = mass ** powers[0] * length ** powers[1] * time ** powers[2]
-        factor = ratio[along[name]] if name in along else factor
-        if name != "gravity" and factor != 1.0:
-            # How sharply friction sets in is a choice of the model, whatever the vehicle.
-            nominal = row.nominal * (1.0 if name == "slip_regularization" else factor)
-            row = replace(row.scaled(factor), nominal=nominal, source=f"{row.source}; scaled to the vehicle")
-        rows.append(row)
-    return ParameterTable(rows, PARAMETERS.derived)

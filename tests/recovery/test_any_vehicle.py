@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fakes.gear_campaigns import opened, score_values, used
-from sysid.gear.parameters import PARAMETERS as GEAR
-from sysid.gear.parameters import parameters_on
+from sysid.gear.model import PARAMETERS as GEAR
+from sysid.gear.model import parameters_on
 from sysid.motor.parameters import PARAMETERS as MOTOR
 from sysid.motor.parameters import kv_to_si, parameters_of
 from sysid.synthetic import synthesize_gear, synthesize_motor
