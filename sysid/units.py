@@ -49,7 +49,7 @@ def _registry() -> Any:
 
 
 @lru_cache(maxsize=512)
-def _parse_unit(unit: str) -> Any:
+def _parse_unit(unit: str, number: float = 1.0) -> Any:
     text = _SPELLINGS.get(unit.strip(), unit.strip())
     # kg.m2, m2 and the like: an exponent typed without a caret.
     text = re.sub(r"(?<=[A-Za-zµΩ])([23])(?![\d.])", r"^\1", text.replace(".", "*"))
@@ -58,7 +58,7 @@ def _parse_unit(unit: str) -> Any:
     try:
         if len(text) > _LONGEST or _POWER_OF_NUMBER.search(text):
             raise ValueError("too long, or a number raised to a power")
-        return registry.Quantity(1.0, text).to_base_units()
+        return registry.Quantity(number, text).to_base_units()
     except _NO_UNIT as error:
         raise UnitError(f"unknown unit {unit!r}; write for example mm, kg·m², N·s/m, deg, rpm/V") from error
 
@@ -95,6 +95,10 @@ def factor_to_si(unit: str, expected: str = "") -> float:
             elif base.dimensionality == wanted.dimensionality:
                 likely = "one of the two has an angle that the other lacks"
             raise UnitError(f"unit {unit!r} is not a {expected!r}; {likely}")
+        if _parse_unit(unit, 0.0).magnitude:
+            raise UnitError(
+                f"unit {unit!r} has another zero than {expected!r}, so no factor converts it; write kelvin"
+            )
     return float(base.magnitude)
 
 

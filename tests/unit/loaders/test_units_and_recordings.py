@@ -102,6 +102,8 @@ def test_quantities():
     ("1 N", "kg", "unit 'N' is not a 'kg'"),
     # A frequency is no angular speed: 50 Hz would silently be 50 rad/s.
     ("50 Hz", "rad/s", "unit 'Hz' is not a 'rad/s'"),
+    # As a factor, a degree Celsius would be 274.15 K.
+    ("20 degC", "K", "unit 'degC' has another zero than 'K'"),
 ])  # fmt: skip
 def test_refused_quantities(text, expected, sentence):
     with pytest.raises(UnitError, match=sentence):

@@ -207,6 +207,20 @@ def test_logs_that_lack_a_column_or_its_unit_are_refused(tmp_path):
         assert words in str(refusal.value)
 
 
+def test_an_installed_package_brings_its_kind(tmp_path, monkeypatch):
+    package = tmp_path / "decays-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: decays\nVersion: 1.0\n", encoding="utf-8")
+    (package / "entry_points.txt").write_text("[sysid.kinds]\ndecay_point = decays\n", encoding="utf-8")
+    source = SOURCE.replace("decay_file", "decay_point")
+    (tmp_path / "decays.py").write_text(source, encoding="utf-8")
+    table().rename_axis("time [s]").rename(columns={"level": "level [V]"}).to_csv(tmp_path / "a.csv")
+    text = 'kind = "decay_point"\nname = "d"\n[[trials]]\nname = "a"\nlog = "a.csv"\n'
+    (tmp_path / "d.toml").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert set(sysid.Campaign.read(tmp_path / "d.toml").check().table.verdict) == {"well"}
+
+
 def test_the_commands_take_a_file_with_a_model(tmp_path, run, refused, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "decay.py").write_text(SOURCE, encoding="utf-8")
