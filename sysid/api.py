@@ -544,7 +544,7 @@ def _fitted(given: Mapping[str, Any]) -> Fit:
     path, out, progress = campaign_path(given["campaign"]), given["out"], given["progress"]
     kept = TemporaryDirectory(prefix="sysid-") if out is None else None
     folder = Path(kept.name) / "fit" if kept else path_of(out, "the new fit folder")
-    options = python_options(FitOptions, given, out=folder, quiet=not progress)
+    options = python_options(FitOptions, given, out=folder, quiet=not progress, details=True)
     say = say_of(progress)
     hear = None if isinstance(progress, bool) else say
     result, written = fits.fit_campaign(

@@ -117,10 +117,13 @@ class Journal:
 
     While it is entered, `notice` adds to it; of nested journals the innermost one. `say` takes one line of
     text at a time; `noun` is what the trials are called: ``drops``, ``trials``. The `heard` sentences were
-    printed before: they are kept, not repeated.
+    printed before: they are kept, not repeated. Only with `details` are lines printed that a report has.
     """
 
-    def __init__(self, say: Say = None, noun: str = "trials", heard: Iterable[str] = ()) -> None:
+    def __init__(
+        self, say: Say = None, noun: str = "trials", heard: Iterable[str] = (), details: bool = False
+    ) -> None:
+        self.details = details
         self._say = (lambda line: say(printable(line))) if say else lambda line: None
         self.noun = noun
         self.trials = 0
@@ -176,16 +179,20 @@ class Journal:
         chosen = [finding for finding in self.findings if finding.severity == severity]
         return [spoken(finding, self.trials, self.noun) for finding in chosen]
 
+    @property
+    def misstated(self) -> list[str]:
+        """What the logs contradict in the campaign, or no vehicle can be, as sentences."""
+        return [str(finding) for finding in self.findings if finding.code.startswith(_MISSTATED)]
+
     @contextmanager
     def blaming(self) -> Iterator[None]:
         """Put what the campaign misstates behind a refusal of its logs or values, as the likely cause."""
         try:
             yield
         except (LogError, FitError) as error:
-            causes = [str(finding) for finding in self.findings if finding.code.startswith(_MISSTATED)]
-            if not causes:
+            if not self.misstated:
                 raise
-            raise type(error)(f"{error}; the likely cause: {'; '.join(causes)}") from error
+            raise type(error)(f"{error}; the likely cause: {'; '.join(self.misstated)}") from error
 
     def _print(self, finding: Finding) -> None:
         sentence = spoken(finding, self.trials, self.noun)
@@ -208,8 +215,8 @@ def notice(
         warnings.warn(str(finding), SysidWarning, stacklevel=2)
 
 
-def tell(line: str) -> None:
-    """Print progress by the open journal; without one it is lost."""
+def tell(line: str, detail: bool = False) -> None:
+    """Print progress, or a `detail` where details are wanted, by the open journal; without one it is lost."""
     journal = _OPEN.get()
-    if journal is not None:
+    if journal is not None and (journal.details or not detail):
         journal.tell(line)

@@ -14,13 +14,16 @@ from typing import Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from sysid.campaign.common import CampaignSource, as_exact
+from sysid.campaign.common import CampaignSource, CampaignTable, TrialTable, as_exact
 from sysid.campaign.gear import GearCampaign
 from sysid.campaign.motor import MotorCampaign
 from sysid.documents import mistake
 from sysid.errors import CampaignFileError
+from sysid.recording import file_sha256
 
 Campaign = GearCampaign | MotorCampaign
+# Fields of a trial that do not say which part of its log it is.
+_NO_PART_OF_A_LOG = {"name", "log", "use", "slope", "point", "down_slope", "direction"}
 _KINDS: dict[str, type[BaseModel]] = {"gear": GearCampaign, "motor": MotorCampaign}
 
 
@@ -86,6 +89,27 @@ def read_campaign(path: str | Path, kind: str | None = None, *, exact: bool | No
         raise CampaignFileError(f"{path}: {_first_sentence(error, _KINDS[stated], data)}") from None
     campaign._source = CampaignSource(path, hashlib.sha256(content).hexdigest(), text)
     return as_exact(campaign) if (campaign.fit.exact if exact is None else exact) else campaign
+
+
+def refuse_repeated_logs(campaign: CampaignTable, path: str | Path) -> None:
+    """Refuse two trials of one recording, by content: it would count twice, or validate the fit made from it.
+
+    Trials that state different parts of a log, such as segments or bodies, are different recordings.
+    """
+    logs = {trial.name: Path(path).parent / trial.log for trial in campaign.trials}
+    sizes = {name: log.stat().st_size for name, log in logs.items() if log.is_file()}
+    seen: dict[tuple[str, str], TrialTable] = {}
+    for trial in campaign.trials:
+        if [*sizes.values()].count(sizes.get(trial.name, -1)) < 2:
+            continue
+        sha256 = file_sha256(logs[trial.name])
+        first = seen.setdefault((sha256, trial.model_dump_json(exclude=_NO_PART_OF_A_LOG)), trial)
+        if first is not trial:
+            why = "it would count twice" if first.use == trial.use else "a fit predicts its own data"
+            raise CampaignFileError(
+                f"{path}: trials {first.name!r} ({first.log}) and {trial.name!r} ({trial.log}) are the same "
+                f"log (SHA-256 {sha256[:12]}…), so {why}; drop one of them"
+            )
 
 
 def resolve_log(campaign_path: str | Path, log: str) -> Path:

@@ -14,6 +14,7 @@ from sysid.marks import Argument, Flag
 from sysid.workflows.options import (
     CampaignPath,
     Dask,
+    Details,
     Figure,
     FitCampaign,
     FitFolder,
@@ -75,7 +76,7 @@ def _fit(
     tell = unless(options.quiet)
     result, folder = fit(campaign, replace(options, quiet=options.quiet or json), say=tell)
     if json or not options.quiet:
-        print_fit(result, folder, json)
+        print_fit(result, folder, json, options.details)
     if result.provenance.get("cut_short") == "interrupted":
         return 130
     return FLAGGED if strict and is_unfinished(result) else 0
@@ -87,17 +88,23 @@ def check(
     surface: Surface = None,
     threads: Threads = None,
     quiet: Quiet = False,
+    details: Details = False,
     json: Json = False,
-) -> None:
+) -> int:
     """Say before a fit what the trials will determine.
 
-    Judges every log, names what excites the model, and says what to record next.
+    Judges every log, names what excites the model, and says what to record next. The exit code is 3 where the
+    logs contradict the campaign: no verdict is given then.
     """
     from sysid.report.trust_tables import print_check
     from sysid.workflows.check import check_campaign
 
-    document = check_campaign(campaign, surface=surface, threads=threads, say=unless(quiet or json))
-    print_check(document, json, quiet=quiet)
+    document = check_campaign(
+        campaign, surface=surface, threads=threads, say=unless(quiet or json), details=details
+    )
+    if json or not quiet:
+        print_check(document, json, details=details)
+    return FLAGGED if document.withheld else 0
 
 
 @command(app, "trust", "sysid trust fits/demo/motor")
@@ -106,7 +113,7 @@ def trust(
     options: TrustOptions,
     quiet: Quiet = False,
     json: Json = False,
-    details: Annotated[bool, Flag("Print the 68 % intervals and the predictions of the runs too.")] = False,
+    details: Details = False,
 ) -> None:
     """Give every parameter of a fit an interval and a verdict.
 
@@ -115,7 +122,9 @@ def trust(
     from sysid.report.trust_tables import print_trust
     from sysid.workflows.trust import assess_fit
 
-    print_trust(assess_fit(fit, options, unless(quiet or json)), fit, json, long=details)
+    document = assess_fit(fit, options, unless(quiet or json))
+    if json or not quiet:
+        print_trust(document, fit, json, long=details)
 
 
 @command(app, "validate", "sysid validate fits/demo/gear-lf data_samples/gear-lf")
@@ -131,7 +140,8 @@ def validate(
     from sysid.workflows.predict import validate_fit
 
     document = validate_fit(fit, campaign, threads=threads, say=unless(quiet or json))
-    print_validation(document, fit, json)
+    if json or not quiet:
+        print_validation(document, fit, json)
     return FLAGGED if document.flagged else 0
 
 
@@ -152,7 +162,8 @@ def cross_validate(
     from sysid.workflows.predict import cross_validate as leave_out
 
     document = leave_out(fit, campaign, threads=threads, dask=dask, say=unless(quiet or json))
-    print_validation(document, fit, json)
+    if json or not quiet:
+        print_validation(document, fit, json)
     return FLAGGED if document.flagged else 0
 
 
@@ -177,7 +188,7 @@ def compare(
 
     compare_and_print(
         fits, cross=cross, page=out if report else None, threads=threads, force=force,
-        say=unless(quiet or json), json=json,
+        say=unless(quiet or json), json=json, quiet=quiet,
     )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ EXIT_CODES = {
     0: "done",
     1: "a bug of sysid; the line names the file with its trace",
     2: "refused: one sentence says what, where, and what to do next",
-    FLAGGED: "flagged by validate or cross-validate; an unfinished fit with --strict",
+    FLAGGED: "flagged by check, validate or cross-validate; an unfinished fit with --strict",
     130: "stopped with Ctrl-C or SIGTERM",
     CLOSED_PIPE: "the reader of a pipe closed it",
 }

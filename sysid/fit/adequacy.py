@@ -140,10 +140,17 @@ def undisturbed(blocks: Sequence[Block], residuals: FloatArray, disturbances: Fl
     return residuals - np.linalg.solve(normal, weighted @ residuals) @ disturbances
 
 
-def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | None = None) -> Adequacy:
+def adequacy(
+    problem: Problem,
+    row: FloatArray,
+    at_bound: Mapping[str, int] | None = None,
+    stated_nrmse: float | None = None,
+) -> Adequacy:
     """Judge a row (n_table,) of the parameter table [SI] on the trials of a problem.
 
     `at_bound` names the parameters that end at a bound of the search: -1 the lower, 1 the upper one.
+    `stated_nrmse` is the NRMSE that the fit states of this row: two accuracies of a simulation differ by
+    digits that no reader should meet as two numbers.
     """
     blocks = problem.blocks
     residuals, lost = problem.compared(row[None])
@@ -154,7 +161,7 @@ def adequacy(problem: Problem, row: FloatArray, at_bound: Mapping[str, int] | No
     phases = [_phases(problem, t, row) for t in range(len(problem.trials))]
     noise = np.array([block.noise for block in blocks])
     weights = np.array([block.weight for block in blocks])
-    nrmse = float(weights @ nrmse_of(blocks, whole))
+    nrmse = float(weights @ nrmse_of(blocks, whole)) if stated_nrmse is None else stated_nrmse
     known = np.isfinite(noise)
     if not known.any():
         return _unjudged(problem, nrmse)

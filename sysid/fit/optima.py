@@ -101,7 +101,7 @@ class Agreement:
         )
 
     def _scored(self, nrmse: float) -> str:
-        return beside_noise(f"{100 * nrmse:.3f} %", self.floor)
+        return beside_noise(f"{100 * nrmse:.2f} %", self.floor)
 
     def _unfinished(self, runs: int, best: float) -> str:
         reasons = ", ".join(dict.fromkeys(REASONS[reason] for reason in self.cut if reason))
@@ -250,7 +250,7 @@ def waterfall(runs: Sequence[RunHistory], free: Sequence[Searched] = ()) -> list
     for rank, i in enumerate(groups.order, start=1):
         run = runs[i]
         lines.append(
-            f"{rank:>4}  {i + 1:>3}  {100 * groups.cost[i]:>7.3f} %  {groups.cost[i] / best:>7.4f}  "
+            f"{rank:>4}  {i + 1:>3}  {100 * groups.cost[i]:>7.2f} %  {groups.cost[i] / best:>7.4f}  "
             f"{'-' if groups.cut[i] else _letter(int(groups.optimum[i])):>7}  {run.evaluations:>10}  "
             f"{REASONS[run.stop_reason]}"
         )

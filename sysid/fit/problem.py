@@ -15,6 +15,7 @@ from functools import cache, cached_property
 from typing import Any, Self
 
 import numpy as np
+from numba.core.event import Event, Listener, register
 from numpy.typing import NDArray
 
 from sysid.fit.derivatives import Layout
@@ -397,7 +398,22 @@ def computed_by(problem: Problem, executor: Executor) -> Problem:
     return spread
 
 
+class _Compiling(Listener):
+    """Says at the first compilation of a process why nothing else is printed for a while."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def on_start(self, event: Event) -> None:
+        if self._name:
+            tell(f"compiling {self._name}, once per version: under a minute")
+        self._name = ""
+
+    def on_end(self, event: Event) -> None:
+        pass
+
+
 @cache
 def tell_of_kernel(name: str) -> None:
-    """Say once per process, before the first simulation, why nothing else is printed for a while."""
-    tell(f"preparing {name}: compiled once per version (under a minute), then loaded")
+    """Let the user know when a simulation must first be compiled; code on disk is loaded in silence."""
+    register("numba:compile", _Compiling(name))

@@ -149,7 +149,7 @@ class FitProgress(LiveBlock):
 
     def _score(self, nrmse: float) -> str:
         over = f" = {nrmse / self._noise:.2f} × noise" if self._noise > 0 else ""
-        return f"NRMSE {100 * nrmse:.3f} %{over}"
+        return f"NRMSE {100 * nrmse:.2f} %{over}"
 
     def line(self, run: int) -> str:
         """Return how far a run (from 0) is; fits 80 columns."""

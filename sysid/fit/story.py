@@ -58,10 +58,12 @@ class Story(Generic[P]):
             key = common_name(space.table[name])
             errors.setdefault(self.keys.get(key, key), value.assumed)
         if own := [key for key, assumed in errors.items() if not assumed]:
-            tell(f"fitted within their errors as well: {', '.join(own)}")
+            tell(f"fitted within their errors as well: {', '.join(own)}", detail=True)
         if typical := [f"{key} {assumed}" for key, assumed in errors.items() if assumed]:
             advice = "state your own, as in '1.24 kg ± 2 g'"
-            tell(f"assumed errors, within which these are fitted: {', '.join(typical)}; {advice}")
+            tell(
+                f"assumed errors, within which these are fitted: {', '.join(typical)}; {advice}", detail=True
+            )
 
     # --- sysid check ----------------------------------------------------------------------------------------
 

@@ -135,12 +135,12 @@ def summary(result: FitResult) -> str:
     lines += ["", "stages", ""]
     for number, run in enumerate(result.runs, start=1):
         lines.append(
-            f"{number:>4}  NRMSE {100 * run.best[-1]:.3f} %, {run.evaluations} candidates "
+            f"{number:>4}  NRMSE {100 * run.best[-1]:.2f} %, {run.evaluations} candidates "
             f"({failures(run)}), {run.wall_time:.1f} s"
         )
         lines += [
             f"      {stage.algorithm}: {len(stage.cost)} generations, {stage.evaluations} candidates, "
-            f"NRMSE {100 * stage.cost.min():.3f} %, ended: {stage.ended}"
+            f"NRMSE {100 * stage.cost.min():.2f} %, ended: {stage.ended}"
             for stage in run.stages
         ]
     if result.warnings:

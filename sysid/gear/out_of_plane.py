@@ -208,7 +208,7 @@ def tell_limits(problem: GearProblem) -> None:
             "{} or {} deg on {:.3g} deg".format(*limits(by_slope[slope], slope), np.degrees(slope))
             for slope in sorted(by_slope)
         ]
-        tell(f"roll or yaw at release matters from {', '.join(parts)} of slope on")
+        tell(f"roll or yaw at release matters from {', '.join(parts)} of slope on", detail=True)
 
 
 def limits(lean: float, slope: float) -> tuple[str, str]:

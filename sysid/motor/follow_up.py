@@ -107,12 +107,13 @@ def begin_fit(problem: MotorProblem) -> None:
         f"{len(bench.trials) - searched - late} to validate; free: {free}"
     )
     for fit in bench.curves.fits:
-        tell(curve_sentence(fit))
+        tell(curve_sentence(fit), detail=True)
     for way, tie in bench.laws.items():
         law = f"so the fit follows {'the levels' if way in bench.curves.maps else 'the line'}"
         tell(
             f"supply law, {way}: V_c = k_v Ω_0(u) V/V_ref; a straight line of speed over command misses the "
-            f"{len(tie.levels) - 1} steady levels by {100 * tie.misfit:.2g} % of the top speed, {law}"
+            f"{len(tie.levels) - 1} steady levels by {100 * tie.misfit:.2g} % of the top speed, {law}",
+            detail=True,
         )
         if way in bench.curves.maps:
             notice(
@@ -123,18 +124,19 @@ def begin_fit(problem: MotorProblem) -> None:
             )
     shown = shown_by_stand(campaign, bench)
     for sentence in shown.sentences():
-        tell(sentence)
+        tell(sentence, detail=True)
     for found in shown.findings():
         notice(found.code, found.sentence)
     for finding in folded(finding for trial in bench.trials for finding in _treatment(trial)):
-        tell(spoken(finding, len(bench.trials)))
+        tell(spoken(finding, len(bench.trials)), detail=True)
     if bench.curves.ties and "viscous_damping" not in space.names:
         tell(
             "no log without propeller: the no-load speed is computed from loaded points and R, and k_d, "
-            f"which then cannot be told from k²/R, stays at {space.fixed['viscous_damping']:.2g} N·m·s/rad"
+            f"which then cannot be told from k²/R, stays at {space.fixed['viscous_damping']:.2g} N·m·s/rad",
+            detail=True,
         )
     if "winding_inductance" in bench.guessed & {*space.fixed}:
-        tell(NO_INDUCTANCE)
+        tell(NO_INDUCTANCE, detail=True)
     if untested_rows(campaign, bench):
         tell("nothing was recorded in reverse: its curves and no-load speed are left out of the sets (NaN)")
 
@@ -152,9 +154,9 @@ def curve_sentence(fit: CurveFit) -> str:
 def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     """Fit the dead band, rank the final sets, notice what is doubtful.
 
-    The sets are ranked by the NRMSE of their final values over the fitted forward and reverse trials, starts
-    from rest included. Where the fit is cut short, the dead band is left to ``--resume``. Values of a
-    direction that was not recorded are NaN.
+    The sets are ranked by the NRMSE of their final values over the fitted forward and reverse trials, which
+    is without starts from rest, as in the search. Where the fit is cut short, the dead band is left to
+    ``--resume``. Values of a direction that was not recorded are NaN.
     """
     campaign, bench, space = problem.campaign, problem.bench, problem.space
     course = replace(course, sets=_at_stated_scale(problem, course.sets))
@@ -168,7 +170,7 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     searched = [] if band is None else [space.table.index[row.name] for row in band.free]
     if band is not None:
         rows[:, searched] = band.values
-    nrmse = problem.only([trial.entry.name for trial in bench.fitted]).nrmse(rows)
+    nrmse = problem.fitted.nrmse(rows)
     # The search has not seen the final values.
     order = np.argsort(nrmse, kind="stable")
     rows, nrmse, found = rows[order], nrmse[order], course.sets
@@ -318,8 +320,9 @@ def _about_saturation(
         f"dead band from {parts} of {trials}: I_sat {best['saturation_current']:.3g} A below "
         f"{best['saturation_speed']:.3g} rad/s; NRMSE there {100 * band.without[0]:.2f} % without, "
         f"{100 * band.nrmse[0]:.2f} % with it"
-        + "; the search left the starts out of its NRMSE, the NRMSE of the sets includes them"
-        * ("starts" in parts)
+        + "; the NRMSE of the fit leaves the starts out"
+        * ("starts" in parts),
+        detail=True,
     )
     if not band.felt:
         notice(

@@ -13,10 +13,10 @@ from sysid.documents import rounded
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, ROUGHLY_BY
 from sysid.fit.result import FitResult
 from sysid.parameter_sets import ACCUSED, KNOWN_ANYHOW, Judged, Known
-from sysid.parameters import common_name
+from sysid.parameters import common_name, with_unit
 from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
 from sysid.report.table import NONE, Cell, Table, numbers, table, words
-from sysid.report.trust_tables import ends_of, judged_cell, partners_of
+from sysid.report.trust_tables import AT_BOUND, ends_of, judged_cell, partners_of
 from sysid.trust.documents import Judgement, TrustDocument
 from sysid.types import FloatArray
 
@@ -105,7 +105,9 @@ def counts(rows: Collection[Judged] | None, command: str) -> tuple[str, str]:
     return " · ".join(parts), f"identifiable, of {len(rows)} parameters judged"
 
 
-def next_step(fit: FitResult, trust: TrustDocument | None, predicted: bool, folder: str) -> str:
+def next_step(
+    fit: FitResult, trust: TrustDocument | None, predicted: bool, folder: str, noun: str = "trial"
+) -> str:
     """Return the one sentence of what to do next: what stands in the way first."""
     judged = fit.provenance.get("adequacy", {})
     if fit.agreement.unfinished or fit.state != "done":
@@ -126,15 +128,16 @@ def next_step(fit: FitResult, trust: TrustDocument | None, predicted: bool, fold
         return f"no value counts yet: {look}"
     if trust is None:
         return f"run `sysid trust {folder}` for intervals: what the data identify is not known yet."
-    lost = [row.symbol for row in trust.parameters if row.lost]
+    lost = [
+        f"{row.symbol} does not matter for these {noun}s: any value "
+        f"{'in its bounds' if row.interval == 'open' else with_unit(row.interval, row.unit)} fits alike"
+        for row in trust.parameters
+        if row.lost
+    ]
     if not predicted:
         return f"run `sysid cross-validate {folder}`: how well it predicts is not known yet."
     if lost:
-        names, them = ", ".join(lost), "it" if len(lost) == 1 else "them"
-        return (
-            f"use the sets without {names}, which the data do not identify: measure {them} apart, or plan "
-            f"trials that excite {them} with `sysid check CAMPAIGN`."
-        )
+        return f"use the sets: `sysid export {folder}` writes them. {'; '.join(lost)}."
     if judged.get("verdict") == ROUGHLY_BY:
         at = judged["misfit"]
         return (
@@ -175,7 +178,7 @@ def parameter_table(fit: FitResult, trust: TrustDocument | None, truth: Mapping[
             numbers("measured", lambda row: ends_of(row.record.measured_range)) if ranges else None,
             numbers("truth", true) if truth else None,
         ),
-        "* the best set ends at a bound of the search" if any("*" in row.text() for row in rows) else "",
+        AT_BOUND if any("*" in row.text() for row in rows) else "",
     )
 
 

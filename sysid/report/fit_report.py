@@ -233,7 +233,7 @@ class FitReport:
             counts(self.fit.judged.values() if self.trust else None, f"sysid trust {self.folder}"),
         )
         word = IN_A_WORD.get(self.fit.provenance.get("adequacy", {}).get("verdict"), NOT_JUDGED)
-        following = next_step(self.fit, self.trust, predicted[0] != "not known", str(self.folder))
+        following = next_step(self.fit, self.trust, predicted[0] != "not known", str(self.folder), self.noun)
         return answer_box(self.title, word, self.fit.name, tiles, following, self.sketch()) + self.verdict()
 
     def verdict(self) -> Html:
@@ -252,12 +252,6 @@ class FitReport:
         fit, trials = self.fit, sum(trial.use == "fit" for trial in self.fit.trials)
         low, high = percent_text(float(fit.nrmse.min())), percent_text(float(fit.nrmse.max()))
         judged, out = fit.provenance.get("adequacy"), []
-        part = ""
-        if judged and percent_text(judged["nrmse"]) != low:
-            part = (
-                f", over whole trials; the {percent_text(judged['nrmse'])} of the verdict leave out what the "
-                "search does not compare, such as starts from rest"
-            )
         noise = f", where noise alone costs {percent_text(judged['floor'])}" if judged else ""
         # The first sentence is one that a person can act on.
         if judged and judged["verdict"] == NOT_BY and (anyhow := fit.settings.get(KNOWN_ANYHOW)):
@@ -268,8 +262,7 @@ class FitReport:
             f"{fit.name}, {self.model}: the {_counted(len(fit.nrmse), 'set')} "
             f"fit{'s' if len(fit.nrmse) == 1 else ''} {_counted(trials, self.noun)} with an NRMSE of "
             f"{low if low == high else f'{low} to {high}'}{noise} "
-            f"(rms error over {fit.provenance.get('nrmse_denominator', 'std')} of the measurement)"
-            f"{part}."
+            f"(rms error over {fit.provenance.get('nrmse_denominator', 'std')} of the measurement)."
         )
         out += [*self._predicted(), *self._determined()]
         agreement, total = fit.agreement, len(fit.runs)

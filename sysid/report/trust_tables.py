@@ -11,7 +11,7 @@ from typing import Any
 
 from sysid.documents import channel_symbol, interval, rounded
 from sysid.fit.store import fit_folder
-from sysid.parameter_sets import Judged
+from sysid.parameter_sets import Judged, Known, ParameterSets
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.table import (
     NONE,
@@ -44,6 +44,7 @@ from sysid.trust.documents import (
     ValidatedTrial,
     ValidationDocument,
 )
+from sysid.trust.verdicts import sentences
 
 # Units of the entries of an excitation by name; an entry without a unit is a number of events.
 _UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "speed": "rad/s",
@@ -51,6 +52,7 @@ _UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "spe
 # Least share of the information on a parameter that a named channel has [1].
 _TELLS = 0.2
 TONES: dict[str, Tone] = {"well": "good", "weakly": "doubtful"}
+AT_BOUND = "* the best set ends at a bound of the search"
 _OPEN = "≤ or ≥: open, the data do not end the interval inside the bounds of the search"
 
 
@@ -70,15 +72,31 @@ _TRIAL, _USE = words("trial", attrgetter("name")), words("use", attrgetter("use"
 
 
 def partners_of(strongest: Sequence[Partner], symbols: Mapping[str, str]) -> str:
-    """Return the two parameters that one trades with most, by symbol, and the correlations."""
+    """Return the two parameters that one correlates with most, by symbol, and the correlations."""
     pairs = (f"{symbols.get(each.name, each.name)} {each.correlation:+.2f}" for each in strongest[:2])
     return ", ".join(pairs) or NONE
 
 
-def _trades(rows: Iterable[FreeParameter] | Iterable[Expected]) -> TableColumn:
-    """Return the column of partners, by symbol."""
+def _correlated(rows: Iterable[FreeParameter] | Iterable[Expected]) -> TableColumn:
+    """Return the column of correlated parameters, by symbol."""
     symbols = {row.name: row.symbol for row in rows}
-    return words("trades with", lambda row: partners_of(row.partners, symbols))
+    return words("correlates with", lambda row: partners_of(row.partners, symbols))
+
+
+def answer_table(sets: ParameterSets) -> Table:
+    """Return what a fit found: best set, 95 % interval and verdict of every parameter."""
+    rows = [row for row in sets.known.values() if row.found]
+    return table(
+        "",
+        rows,
+        (
+            words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
+            numbers("best set", Known.text),
+            numbers("95 % interval", lambda row: row.judged.interval if row.judged else NONE),
+            words("verdict", lambda row: judged_cell(row.judged) if row.judged else NONE),
+        ),
+        AT_BOUND if any("*" in row.text() for row in rows) else "",
+    )
 
 
 def interval_table(document: TrustDocument) -> Table:
@@ -89,7 +107,7 @@ def interval_table(document: TrustDocument) -> Table:
         return NONE if row.lost else rounded(row.value) + ("*" if row.at_bound else "")
 
     notes = [_OPEN] if any(row.interval.startswith(("≤", "≥")) for row in rows) else []
-    notes += ["* the best set ends at a bound"] if any("*" in best(row) for row in rows) else []
+    notes += [AT_BOUND] if any("*" in best(row) for row in rows) else []
     return table(
         "what the data determine: intervals of the profile likelihood",
         rows,
@@ -100,7 +118,7 @@ def interval_table(document: TrustDocument) -> Table:
             numbers("95 % interval", attrgetter("interval")),
             numbers("half-width", lambda row: half_width(row.half_width), "%"),
             _VERDICT,
-            _trades(rows),
+            _correlated(rows),
             numbers("bootstrap 95 %", lambda row: ends_of(row.bootstrap_95))
             if any(row.bootstrap_95 for row in rows)
             else None,
@@ -148,7 +166,7 @@ def narrow_table(document: TrustDocument) -> Table:
             numbers("refined", lambda row: NONE if row.lost else number(row.refined)),
             numbers("68 % interval", narrow),
             numbers("linearized σ", lambda row: NONE if row.lost else number(row.fisher_sigma, 2)),
-            words("doubt", lambda row: row.doubt or NONE),
+            words("why doubtful", lambda row: row.doubt or NONE),
         ),
         _OPEN if any(narrow(row).startswith(("≤", "≥")) for row in document.parameters) else "",
     )
@@ -192,20 +210,20 @@ def noise_table(document: TrustDocument) -> Table:
     )
 
 
-def expected_table(document: CheckDocument) -> Table:
+def expected_table(document: CheckDocument, *, details: bool = True) -> Table:
     """Return the verdicts of a check, before a fit."""
     return table(
         f"{document.campaign['name']}: what these trials are expected to determine",
         document.parameters,
         (
             _PARAMETER,
-            numbers("at", lambda row: number(row.value)),
-            numbers("half-width", lambda row: half_width(row.half_width), "%"),
-            numbers("over bounds", lambda row: half_width(row.half_width_over_bounds), "%"),
+            numbers("default value", lambda row: number(row.value)) if details else None,
+            numbers("95 % half-width", lambda row: half_width(row.half_width), "%"),
+            numbers("elsewhere", lambda row: half_width(row.half_width_over_bounds), "%"),
             _VERDICT,
-            _trades(document.parameters),
+            _correlated(document.parameters) if details else None,
         ),
-        "half-width: 95 %, from noise alone, at the defaults and (median) over the bounds",
+        "half-width at the default values, from noise alone; elsewhere: median over the bounds",
     )
 
 
@@ -264,8 +282,8 @@ def validation_table(name: str, document: ValidationDocument | CrossValidationDo
         )
 
     third = (
-        numbers("to 3rd contact", lambda row: percent(row.nrmse_third_contact), "%"),
-        numbers("ratio there", lambda row: number(row.ratio_third_contact, 3), joined=True),
+        numbers("until the 3rd touchdown", lambda row: percent(row.nrmse_third_contact), "%"),
+        numbers("ratio until then", lambda row: number(row.ratio_third_contact, 3), joined=True),
     )
     flag = "flagged" if document.flagged else "not flagged"
     return table(
@@ -277,7 +295,7 @@ def validation_table(name: str, document: ValidationDocument | CrossValidationDo
             numbers("noise alone", lambda row: percent(row.floor), "%", joined=True),
             numbers("ratio", lambda row: number(row.ratio, 3), joined=True),
             *(third if early else ()),
-            numbers("leaves the noise at", leaves, "s") if leaving else None,
+            numbers("off by more than noise from", leaves, "s") if leaving else None,
             *(stopping("place", "m") + stopping("time", "s") if stops else ()),
         ),
         "stop: where (down-slope) and when the body comes to rest, else its log or board ends, since the "
@@ -328,24 +346,29 @@ def cross_table(document: Comparison) -> Table:
     )
 
 
-def print_check(document: CheckDocument, json: bool, *, quiet: bool = False) -> None:
-    """Print a check: logs, excitation, verdicts, what to record next, and the warnings once more."""
+def print_check(document: CheckDocument, json: bool, *, details: bool = False) -> None:
+    """Print a check: what the trials excite and determine, and what to record next."""
     if print_result(document.model_dump(exclude_unset=True), json):
         return
-    print_table(quality_table(document))
-    for row in document.quality:
+    rows, said = document.quality, set(sentences(document.parameters) if document.parameters else ())
+    if details:
+        print_table(quality_table(document))
+        print_lines(check_lines(document))
+    for row in rows:
         print_lines([f"{row['name']}: suspicious: {finding}" for finding in row["suspicions"]], "bold yellow")
-    print_lines([*check_lines(document), ""])
-    print_table(expected_table(document))
-    print_lines([channel_line(document), "", *document.sentences])
-    if warnings := document.warnings:
-        plural = "" if len(warnings) == 1 else "s"
-        above = "" if quiet else ", above"
-        print_lines(["", f"{len(warnings)} warning{plural}{above}:", *warnings], "bold yellow")
+    print_lines([f"{document.campaign['name']}, {len(rows)} logs: {excitation_line(document)}"])
+    if document.parameters:
+        print_table(expected_table(document, details=details))
+    if details:
+        print_lines([channel_line(document)])
+    # The table has what is said of single parameters.
+    print_lines([sentence for sentence in document.sentences if details or sentence not in said])
+    if warnings := len(document.warnings):
+        print_lines([f"{warnings} warning{'' if warnings == 1 else 's'} above"], "bold yellow")
 
 
 def check_lines(document: CheckDocument) -> list[str]:
-    """Return what the logs' table has no column for: instants, clocks, centre of mass, excitation."""
+    """Return what the logs' table has no column for: instants, clocks, centre of mass."""
     rows, out = document.quality, []
     instants = [f"{r['name']} {r['release']:.3f} / {r['touchdown']:.3f}" for r in rows if "release" in r]
     if instants:
@@ -363,12 +386,17 @@ def check_lines(document: CheckDocument) -> list[str]:
             for key, word in (("down_slope", "down-slope"), ("up", "up"))
         ]
         out.append(f"centre of mass off the stated one, from the turns in flight: {', '.join(pairs)}")
+    return out
+
+
+def excitation_line(document: CheckDocument) -> str:
+    """Return the ranges that the trials cover."""
     spans = []
     for name, value in document.excitation.items():
         word, unit = name.removesuffix("_deg").replace("_", " "), _UNITS.get(name, "")
         ends = f"{value[0]:.3g} to {value[1]:.3g}" if isinstance(value, list) else f"{value}"
         spans.append(f"{word} {ends} {unit}".rstrip())
-    return [*out, f"excitation: {', '.join(spans)}"]
+    return ", ".join(spans) or "nothing is excited"
 
 
 def channel_line(document: CheckDocument) -> str:
@@ -380,7 +408,7 @@ def channel_line(document: CheckDocument) -> str:
         # The first of many channels that inform a little each is named without its share.
         first = [channel_symbol(name) for name, share in order[:1] if share > 0]
         parts.append(f"{row.symbol}: {', '.join(shares or first) or 'nothing'}")
-    return f"informed by: {'; '.join(parts)}"
+    return f"channels that tell most: {'; '.join(parts)}"
 
 
 def print_trust(document: TrustDocument, folder: Path, json: bool, *, long: bool = False) -> None:

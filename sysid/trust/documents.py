@@ -448,6 +448,8 @@ class CheckDocument(Part):
     excitation: OpenMapping
     centre_of_mass: OpenMapping | None = None
     warnings: list[str]
+    # Whether the verdicts are withheld, because the logs contradict the campaign.
+    withheld: bool = False
     seconds: float
 
 

@@ -37,7 +37,7 @@ def sentences(expected: Sequence[Expected]) -> tuple[str, ...]:
         if row.verdict != "well":
             word = "weakly identifiable" if row.verdict == "weakly" else "not identifiable"
             partners = " and ".join(symbols.get(partner.name, partner.name) for partner in row.partners[:2])
-            trades = f"; trades with {partners}" if partners else ""
+            correlated = f"; it correlates with {partners}" if partners else ""
             name = row.name.partition("[")[0].replace("_", " ")
-            out.append(f"{name} ({row.symbol}) is {word}: {as_half_width(row.worse)}{trades}")
+            out.append(f"{name} ({row.symbol}) is {word}: {as_half_width(row.worse)}{correlated}")
     return tuple(out)

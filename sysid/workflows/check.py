@@ -29,16 +29,17 @@ from sysid.workflows.kinds import naming_campaign, open_campaign
 
 # Candidates that are named.
 _NAMED = 3
-_NOTHING_EXPECTED: dict[str, Any] = {
-    "parameters": [],
-    "limits": {"well": WELL, "weakly": WEAKLY},
-    "candidates": [],
-    "sentences": ["the noise of the channels is not known, so nothing is expected of the trials; state it"],
-}
+_NO_NOISE = "the noise of the channels is not known, so nothing is expected of the trials; state it"
+_WITHHELD = "no verdict: the campaign contradicts its logs, or itself; mend what is named, then check again"
 
 
 def check_campaign(
-    path: Path, *, surface: str | None = None, threads: int | None = None, say: Say = None
+    path: Path,
+    *,
+    surface: str | None = None,
+    threads: int | None = None,
+    say: Say = None,
+    details: bool = False,
 ) -> CheckDocument:
     """Judge a campaign before it is fitted.
 
@@ -49,7 +50,7 @@ def check_campaign(
     with naming_campaign(path):
         law = {} if surface is None else {"surface": surface}
         kind, campaign, ignored = open_campaign(path, law=law)
-        with Journal(say, kind.words.trials) as journal, journal.blaming():
+        with Journal(say, kind.words.trials, details=details) as journal, journal.blaming():
             for finding in ignored:
                 journal.add(finding)
             whole = kind.open(campaign, path, threads)
@@ -60,8 +61,15 @@ def check_campaign(
             seen |= story.about()
             story.tell_stated()
             problem = whole.fitted.exact
-            out = _expected(problem, kind, story) if any_noise(problem) else _NOTHING_EXPECTED
-            out = {**out, **seen, "excitation": story.excitation()}
+            withheld = bool(journal.misstated)
+            if withheld or not any_noise(problem):
+                out: dict[str, Any] = {
+                    "parameters": [], "limits": {"well": WELL, "weakly": WEAKLY}, "candidates": [],
+                    "sentences": [_WITHHELD if withheld else _NO_NOISE],
+                }  # fmt: skip
+            else:
+                out = _expected(problem, kind, story)
+            out = {**out, **seen, "excitation": story.excitation(), "withheld": withheld}
             warnings = journal.sentences()
     return CheckDocument(
         campaign=CampaignFile(file=path.name, sha256=campaign.source.sha256, name=campaign.name),
@@ -104,6 +112,7 @@ def _verdicts(
     rough = [row.name for row, good in trusted if not good]
     if rough:
         lines.append(f"derivatives of {', '.join(rough)} change with the step: their verdicts are rough")
+    beyond: list[str] = []
     for row in expected:
         if row.verdict == "well":
             continue
@@ -122,7 +131,9 @@ def _verdicts(
                 f"{as_half_width(after)} with it)"
             )
         elif best is not None:
-            lines.append(f"no single {single} within the lab's reach determines {row.symbol}")
+            beyond.append(row.symbol)
+    if beyond:
+        lines.append(f"no single {single} within the lab's reach determines {', '.join(beyond)}")
     # Worth recording is what lifts a verdict.
     lifting = [(c, [e.symbol for e in expected if _lifts(e, c.worse(e.name))]) for c in candidates]
     worth = [f"{c.title} (lifts {', '.join(symbols)})" for c, symbols in lifting if symbols]

@@ -95,7 +95,7 @@ def fit_campaign(
     missing = ""
     with naming_campaign(path), ExitStack() as until_done, ExitStack() as until_written:
         progress = FitProgress(search, model.words.trials, options.quiet, hear=hear)
-        journal = until_done.enter_context(Journal(say, model.words.trials))
+        journal = until_done.enter_context(Journal(say, model.words.trials, details=options.details))
         try:
             with journal.blaming():
                 for finding in ignored:
@@ -141,7 +141,7 @@ def fit_campaign(
             if follows:
                 try:
                     opened = OpenedFit(folder, result, path, model, problem)
-                    with Journal(say, heard=result.warnings) as inner:
+                    with Journal(say, heard=result.warnings, details=options.details) as inner:
                         # Resamples would take longer than all else, and no interval rests on them.
                         trust = TrustOptions(resamples=0, threads=options.threads, dask=options.dask)
                         document, arrays = assess_opened(opened, trust, inner)
@@ -189,9 +189,10 @@ def _not_assessed(outcome: FitOutcome, follows: bool, folder: Path) -> Iterator[
 def _judged(fitted: Problem, outcome: FitOutcome) -> Adequacy:
     """Return whether noise explains what the best set leaves; tell so if it does."""
     sides = zip(outcome.records, outcome.at_bound[0].tolist(), strict=True)
-    judged = adequacy(fitted, outcome.rows[0], {r.name: side for r, side in sides if r.status == "free"})
+    at_bound = {record.name: side for record, side in sides if record.status == "free"}
+    judged = adequacy(fitted, outcome.rows[0], at_bound, float(outcome.nrmse[0]))
     if judged.verdict == EXPLAINED_BY:
-        tell(judged.sentence)
+        tell(judged.sentence, detail=True)
     return judged
 
 
@@ -223,7 +224,7 @@ def _expected(fitted: Problem) -> dict[str, Any]:
     except FitError as error:
         raise FitError(f"{error}, or leave the check before a fit out with --no-check") from error
     for sentence in sentences(rows):
-        tell(f"expected: {sentence}")
+        tell(f"expected: {sentence}", detail=True)
     return {"expected": [parameter.model_dump() for parameter in rows]}
 
 
@@ -276,9 +277,9 @@ def _search(
     agreed = agreement(runs, settings.runs, fitted.space.free, noise_floor(fitted.blocks))
     if len(runs) > 1:
         for line in waterfall(runs, fitted.space.free):
-            tell(line)
+            tell(line, detail=True)
     if agreed.agrees and len(runs) > 1:
-        tell(agreed.sentence())
+        tell(agreed.sentence(), detail=True)
     else:
         notice("runs-apart", agreed.sentence())
     return runs, cut

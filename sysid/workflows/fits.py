@@ -78,7 +78,7 @@ def print_fits(folder: Path, json: bool = False) -> None:
     now = time.time()
     rows = [
         (
-            entry.name, entry.state, "-" if entry.nrmse is None else f"{100 * entry.nrmse:.3f} %",
+            entry.name, entry.state, "-" if entry.nrmse is None else f"{100 * entry.nrmse:.2f} %",
             str(entry.runs), _age(now - entry.changed) if entry.changed else "-",
         )
         for entry in entries

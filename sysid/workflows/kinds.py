@@ -9,6 +9,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from sysid.campaign import read_campaign, register_campaign
+from sysid.campaign.file import refuse_repeated_logs
 from sysid.errors import CampaignError, CampaignFileError, UnitError
 from sysid.fit.kind import Kind
 from sysid.gear.kind import GEAR
@@ -64,6 +65,7 @@ def open_campaign(
         raise CampaignFileError(
             f"{path}: is a {campaign.kind} campaign, but the fit is a {kind} fit; name a {kind} campaign"
         )
+    refuse_repeated_logs(campaign, path)
     model = find_kind(campaign.kind)
     for name in law:
         if name not in (*model.laws, "exact"):

@@ -80,6 +80,7 @@ Sets = Annotated[Path, Argument("Fit folder, or file of parameter sets.")]
 GearSets = Annotated[Path, Argument("Fit folder or file with the gear sets.")]
 Force = Annotated[bool, Flag("Replace what exists.", panel=_OUTPUT)]
 Quiet = Annotated[bool, Flag("Print neither progress nor tables.", panel=_OUTPUT)]
+Details = Annotated[bool, Flag("Print every table and what the logs showed.", panel=_OUTPUT)]
 Json = Annotated[bool, Flag("Print the result as JSON.", panel=_OUTPUT)]
 Strict = Annotated[bool, Flag("End with exit code 3 where the fit is unfinished.", panel=_OUTPUT)]
 Resume = Annotated[bool, Flag("Continue a computation that was stopped or killed.", panel=_COMPUTING)]
@@ -133,6 +134,7 @@ class FitOptions:
     force: Force = False
     threads: Threads = None
     quiet: Quiet = False
+    details: Details = False
     resume: Resume = False
     dask: Dask = None
     check: Annotated[bool, Flag("First say what the trials should determine.", "--check/--no-check")] = True

@@ -169,9 +169,10 @@ def validate_fit(
     with Journal(say) as journal:
         kind, whole = open_under(result, campaign_path, threads)
         journal.noun = kind.words.trials
+        # Findings so far are about all trials of the campaign, not only those that the fit has not seen.
+        journal.fold(len(whole.trials))
         predicted = predict(result, kind, whole.only(unseen(result, whole, campaign_path)))
         problem = predicted.problem
-        journal.fold(len(problem.trials))
         _notice_unjudged(problem)
         judged = [predicted.judge(t, slice(None), predicted.floor) for t in range(len(problem.trials))]
         _notice_unlike(judged, kind.words)

@@ -13,12 +13,8 @@ from sysid.fit.store import fit_folder
 from sysid.parameter_sets import ACCUSED, ADEQUACY, KNOWN_ANYHOW, NOT_ASSESSED, ParameterSets
 from sysid.report.explain import conclusion
 from sysid.report.fold import print_lines, print_table
-from sysid.report.set_tables import (
-    adequacy_table,
-    mean_sigma_table,
-    ranked_table,
-    trial_table,
-)
+from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
+from sysid.report.trust_tables import answer_table
 from sysid.trust.documents import ExplainDocument
 
 
@@ -45,18 +41,21 @@ def is_unfinished(result: FitResult) -> bool:
     return result.state != "done" or any(run.stop_reason in budgets for run in result.runs)
 
 
-def print_fit(result: FitResult, folder: Path, json: bool) -> None:
-    """Print the sets of a fit and the fit's folder."""
+def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False) -> None:
+    """Print the verdict on a fit, one table of what it found, and what to do next; or all tables."""
     sets = result.parameter_sets()
     if json:
         head = {"folder": str(folder), "state": result.state}
         print(exact_json.dumps(head | sets.document().model_dump()))
         return
-    _print_tables(sets)
     state = "" if result.state == "done" else " (stopped early: the sets are the best until then)"
     agreed = result.agreement
     so_far = f" (with {agreed.finished} of {agreed.asked} runs finished)" if agreed.unfinished else ""
     print(f"verdict{so_far}: {verdict_on(result)}")
+    if details:
+        _print_tables(sets)
+    else:
+        print_table(answer_table(sets))
     print(f"fit written to {folder}{state}; next:")
     place = result.provenance.get("campaign", {}).get("from_fit_folder")
     campaign = os.path.normpath(folder / place) if place else "CAMPAIGN"
@@ -102,6 +101,11 @@ def verdict_on(result: FitResult) -> str:
         fits = f"{f'explained but for {but_for}' if but_for else WORDS[judged['verdict']]}, {scores}"
         if judged["verdict"] == NOT_BY:
             lost.insert(0, "no parameter is well known")
+    sides = zip(result.parameters, result.at_bound[0].tolist(), strict=True)
+    if bounds := sorted(record.name for record, side in sides if side and record.name not in words):
+        lost.append(f"at a bound: {', '.join(bounds)}")
+    if not all(row.name in result.judged for row in result.searched):
+        lost.append("no intervals were computed, so nothing is said to be identifiable")
     known = "; ".join(lost) or "every free parameter is identifiable"
     decided = {row.decided_by for row in result.judged.values()} - {None}
     for key in sorted(map(str, decided)):

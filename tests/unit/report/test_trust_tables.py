@@ -103,7 +103,7 @@ def test_a_parameter_that_no_channel_sees_is_told_by_nothing():
     }
     rows = [ExpectedParameter.model_construct(symbol=name, channels=of) for name, of in shares.items()]
     line = channel_line(CheckDocument.model_construct(parameters=rows))
-    assert line == "informed by: R: speed 70 %, ż_B 30 %; k_d: nothing; L: a"
+    assert line == "channels that tell most: R: speed 70 %, ż_B 30 %; k_d: nothing; L: a"
 
 
 def test_a_check_names_parameters_by_symbol():

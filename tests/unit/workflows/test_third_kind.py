@@ -59,7 +59,8 @@ def test_every_verb_serves_it(lag, capsys):
     print_check(checked, False)
     assert "warning" not in capsys.readouterr().out
     print_check(checked.model_copy(update={"warnings": ["one is wrong", "so is two"]}), False)
-    assert capsys.readouterr().out.endswith("2 warnings, above:\none is wrong\nso is two\n")
+    # They were printed as they came.
+    assert capsys.readouterr().out.endswith("\n2 warnings above\n")
 
     trusted = assess_fit(folder, TrustOptions(resamples=10))
     for row in trusted.parameters:

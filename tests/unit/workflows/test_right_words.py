@@ -1,0 +1,132 @@
+"""What commands print is right and said once: verdicts, counts, one number of a fit, repeated logs."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from fakes.lag_kind import write_lag
+from sysid.errors import CampaignFileError
+from sysid.fit.store import read_fit
+from sysid.journal import Journal, notice, tell
+from sysid.report.answer import next_step
+from sysid.trust.documents import TrustDocument
+from sysid.workflows import predict
+from sysid.workflows.fit import fit_campaign
+from sysid.workflows.kinds import open_campaign
+from sysid.workflows.options import FitOptions
+from sysid.workflows.show import verdict_on
+
+
+@pytest.fixture(scope="module")
+def lag(tmp_path_factory):
+    """A campaign of four steps, three to fit, and its fit with intervals."""
+    folder = tmp_path_factory.mktemp("lag")
+    path = write_lag(folder)
+    return path, fit_campaign(path, FitOptions(out=folder / "fit", quiet=True))[1]
+
+
+def test_no_parameter_is_called_identifiable_without_intervals(tmp_path):
+    path = write_lag(tmp_path)
+    bounds = '[parameters.bounds]\ntime_constant = ["0.01 s", "0.149 s"]\n'
+    path.write_text(path.read_text(encoding="utf-8") + bounds, encoding="utf-8")
+    result, _ = fit_campaign(path, FitOptions(out=tmp_path / "fit", quiet=True, trust=False))
+    said = verdict_on(result)
+    assert "every free parameter is identifiable" not in said
+    assert "at a bound: time constant; no intervals were computed" in said
+
+
+def test_a_fit_has_one_nrmse(lag, run):
+    result = read_fit(lag[1])
+    number = f"{100 * result.nrmse[0]:.2f} %"
+    assert f"NRMSE {number} " in verdict_on(result)
+    assert number in run("fits", lag[1].parent)[1]
+    # The record of the runs and stages is of the search, which stops at the same number.
+    scores = set(re.findall(r"NRMSE (\S+) %", (lag[1] / "summary.txt").read_text(encoding="utf-8")))
+    assert {f"{float(score):.2f}" for score in scores} == scores
+
+
+def test_trials_are_counted_of_all_that_the_findings_are_about(lag, monkeypatch):
+    """A validation opens four trials, and predicts the one that the fit has not seen."""
+    opened = predict.open_under
+
+    def noticing(*args):
+        kind, whole = opened(*args)
+        for trial in whole.trials:
+            notice("odd", "is odd", trial=trial.name)
+        return kind, whole
+
+    monkeypatch.setattr(predict, "open_under", noticing)
+    heard = []
+    predict.validate_fit(lag[1], lag[0], say=heard.append)
+    assert "warning: 4 of 4 trials: is odd" in heard
+
+
+def test_quiet_prints_nothing(lag, run):
+    path, folder = lag
+    copy = folder.with_name("copy")
+    shutil.copytree(folder, copy, dirs_exist_ok=True)
+    for command in (
+        ("check", path), ("trust", folder, "--resamples", "0"), ("validate", folder, path),
+        ("cross-validate", folder), ("compare", folder, copy),
+    ):  # fmt: skip
+        assert run(*command, "--quiet") == (0, "", ""), command
+        assert json.loads(run(*command, "--quiet", "--json")[1]), command
+
+
+@pytest.mark.parametrize(
+    ("use", "why"), [("fit", "it would count twice"), ("validate", "a fit predicts its own data")]
+)
+def test_one_log_in_two_trials_is_refused_by_its_content(tmp_path, use, why):
+    path = write_lag(tmp_path)
+    shutil.copy(tmp_path / "0.json", tmp_path / "again.bin")
+    text = path.read_text(encoding="utf-8")
+    path.write_text(
+        f'{text}\n[[trials]]\nname = "twin"\nlog = "again.bin"\nuse = "{use}"\nstep = 0.5\n', encoding="utf-8"
+    )
+    with pytest.raises(CampaignFileError) as refusal:
+        open_campaign(path)
+    assert "trials 'step-0' (0.json) and 'twin' (again.bin) are the same log (SHA-256 " in str(refusal.value)
+    assert why in str(refusal.value)
+
+
+def test_details_are_printed_on_request():
+    for details in (False, True):
+        heard = []
+        with Journal(heard.append, details=details):
+            tell("2 drops to fit")
+            tell("a curve in a sentence", detail=True)
+        assert len(heard) == 1 + details
+
+
+@pytest.mark.parametrize(
+    ("ends", "opened", "said"),
+    [
+        ([0.001, 2.7], [True, False], "any value ≤ 2.7 s fits alike"),
+        ([0.001, 10.0], [True, True], "any value in its bounds fits alike"),
+    ],
+)
+def test_what_the_data_leave_open_is_no_reason_to_record_more(lag, ends, opened, said):
+    trust = TrustDocument.read(lag[1])
+    row = trust.by_name["time_constant"]
+    row = row.model_copy(update={"verdict": "not_identifiable", "interval_95": ends, "open_95": opened})
+    trust = trust.model_copy(update={"parameters": [row]})
+    step = next_step(read_fit(lag[1]), trust, True, "fits/lag", "drop")
+    assert (
+        step
+        == f"use the sets: `sysid export fits/lag` writes them. τ does not matter for these drops: {said}."
+    )
+
+
+def test_a_check_gives_no_verdict_where_the_logs_contradict_the_campaign(drops, run):
+    path = Path(drops) / "campaign.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('slope = "15 deg"', 'slope = "16.5 deg"'), encoding="utf-8")
+    code, out, err = run("check", path, "--json")
+    assert code == 3, err
+    document = json.loads(out)
+    assert document["withheld"]
+    assert document["parameters"] == []
+    assert any("the campaign states slope" in warning for warning in document["warnings"])
