@@ -78,8 +78,12 @@ class SearchOptions(CampaignSearch):
     max_evaluations: Annotated[
         int | None, Flag("End the fit after this many candidates.", least=1, panel=_PANEL)
     ] = None
-    # Wall time [s], looked at after each generation.
+    # Wall time of search and intervals [s].
     time_limit: Annotated[
         float | None,
-        Flag("End the fit after this time, as in 20min, and keep its result.", read=seconds, panel=_PANEL),
+        Flag(
+            "End the fit and its intervals after this time, as in 20min, and keep its result.",
+            read=seconds,
+            panel=_PANEL,
+        ),
     ] = None

@@ -11,11 +11,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from copy import copy
 from dataclasses import dataclass, fields
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from numba.core.event import Event, Listener, register
 from numpy.typing import NDArray
 
 from sysid.fit.derivatives import Layout
@@ -31,7 +30,7 @@ from sysid.fit.trial import (
     Trial,
     first_cause,
 )
-from sysid.journal import notice, tell
+from sysid.journal import notice
 from sysid.parallel import Executor
 from sysid.parameters import SearchSpace
 from sysid.types import BoolArray, FloatArray, IntArray
@@ -396,24 +395,3 @@ def computed_by(problem: Problem, executor: Executor) -> Problem:
     for name, way in ways.items():
         object.__setattr__(spread, name, way)
     return spread
-
-
-class _Compiling(Listener):
-    """Says at the first compilation of a process why nothing else is printed for a while."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def on_start(self, event: Event) -> None:
-        if self._name:
-            tell(f"compiling {self._name}, once per version: under a minute")
-        self._name = ""
-
-    def on_end(self, event: Event) -> None:
-        pass
-
-
-@cache
-def tell_of_kernel(name: str) -> None:
-    """Let the user know when a simulation must first be compiled; code on disk is loaded in silence."""
-    register("numba:compile", _Compiling(name))

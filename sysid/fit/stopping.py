@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import _thread
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Literal
 
@@ -59,6 +60,35 @@ class Deadline:
         if self.left == 0.0:
             raise CutShort("time")
         return False
+
+
+@contextmanager
+def cut_short_by(deadline: Deadline) -> Iterator[None]:
+    """Raise `CutShort` in a block when the time of a deadline has passed; in the main thread only."""
+    if deadline.left is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    passed = threading.Event()
+
+    def end() -> None:
+        passed.set()
+        _thread.interrupt_main()
+
+    timer = threading.Timer(deadline.left, end)
+    previous = signal.signal(signal.SIGINT, raise_interrupt)
+    try:
+        timer.start()
+        yield
+    except KeyboardInterrupt:
+        if not passed.is_set():
+            raise
+        raise CutShort("time") from None
+    finally:
+        # An interrupt that comes after the work was done is late.
+        with suppress(KeyboardInterrupt):
+            timer.cancel()
+            timer.join()
+        signal.signal(signal.SIGINT, signal.default_int_handler if previous is None else previous)
 
 
 @contextmanager

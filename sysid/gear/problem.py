@@ -18,8 +18,9 @@ import numpy as np
 
 from sysid.campaign import GearCampaign
 from sysid.errors import CampaignError
+from sysid.fit.compiling import tell_of_kernel
 from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse
-from sysid.fit.problem import Problem, tell_of_kernel
+from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult
 from sysid.fit.trial import Block, NoiseModel, Prediction, Scores, Trial
 from sysid.gear.drops import PreparedDrop, cost_channels

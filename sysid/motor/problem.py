@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from sysid.campaign import MotorCampaign
 from sysid.filters import shown_noise
-from sysid.fit.problem import Problem, tell_of_kernel
+from sysid.fit.compiling import tell_of_kernel
+from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult
 from sysid.fit.trial import NoiseModel, Prediction, Scores, Trial
 from sysid.motor import kernel

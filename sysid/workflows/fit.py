@@ -25,7 +25,7 @@ from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult, bound_findings, ranked_sets
 from sysid.fit.search import Hooks, run_many
 from sysid.fit.settings import SearchSettings
-from sysid.fit.stopping import CutReason, Deadline, stop_on_interrupt
+from sysid.fit.stopping import CutReason, CutShort, Deadline, cut_short_by, stop_on_interrupt
 from sysid.fit.store import check_new_fit, write_fit
 from sysid.fit.story import Story
 from sysid.journal import Finding, Journal, Say, notice, tell
@@ -141,12 +141,15 @@ def fit_campaign(
             if follows:
                 try:
                     opened = OpenedFit(folder, result, path, model, problem)
-                    with Journal(say, heard=result.warnings, details=options.details) as inner:
+                    with (
+                        Journal(say, heard=result.warnings, details=options.details) as inner,
+                        cut_short_by(deadline),
+                    ):
                         # Resamples would take longer than all else, and no interval rests on them.
                         trust = TrustOptions(resamples=0, threads=options.threads, dask=options.dask)
                         document, arrays = assess_opened(opened, trust, inner)
                     shown, beside = stating_intervals(result, document), partial(part_files, document, arrays)
-                except SysidError as error:
+                except (SysidError, CutShort) as error:
                     # The fit is whole without its intervals.
                     missing = f"no intervals ({error}); run sysid trust {folder}"
                 except BaseException:

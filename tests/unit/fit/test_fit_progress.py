@@ -3,13 +3,14 @@
 import io
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from rich.console import Console
 
 from sysid.fit import progress as progress_module
+from sysid.fit.compiling import tell_of_kernel
 from sysid.fit.history import Generation, RunHistory, StageHistory
-from sysid.fit.problem import tell_of_kernel
 from sysid.fit.progress import FitProgress
 from sysid.fit.settings import SearchSettings
 from sysid.journal import Journal
@@ -31,11 +32,11 @@ def test_a_run_says_its_stage_its_cost_over_noise_and_its_speed():
     _, progress = report()
     assert progress.line(1) == "run 2/5  waits"
     progress.on_generation(1, GENERATION)
-    assert progress.line(1) == "run 2/5  ga 7  NRMSE 5.000 %  63 drops/s"
+    assert progress.line(1) == "run 2/5  ga 7  NRMSE 5.00 %  63 drops/s"
     progress.expect(0.04, 1e-3)
-    assert progress.line(1) == "run 2/5  ga 7  NRMSE 5.000 % = 1.25 × noise  63 drops/s"
+    assert progress.line(1) == "run 2/5  ga 7  NRMSE 5.00 % = 1.25 × noise  63 drops/s"
     progress.on_run(1, HISTORY)
-    assert progress.line(1) == "run 2/5  ended  NRMSE 5.000 % = 1.25 × noise"
+    assert progress.line(1) == "run 2/5  ended  NRMSE 5.00 % = 1.25 × noise"
 
 
 def test_the_time_left_is_known_from_the_first_second(monkeypatch):
@@ -73,8 +74,8 @@ def test_plain_lines_where_there_is_no_terminal(monkeypatch):
         progress.on_run(1, RunHistory(12, (STAGE, replace(STAGE, stop_reason="time"))))
     lines = stream.getvalue().splitlines()[1:]
     assert lines[0].startswith("run 1/5  ga 7")
-    assert lines[1] == "run 1/5 ended: NRMSE 5.000 %, 10.0 s, 21 candidates, 1 failed"
-    assert lines[3] == "run 2/5 ended: NRMSE 5.000 %, 20.0 s, 42 candidates, 2 failed (time limit)"
+    assert lines[1] == "run 1/5 ended: NRMSE 5.00 %, 10.0 s, 21 candidates, 1 failed"
+    assert lines[3] == "run 2/5 ended: NRMSE 5.00 %, 20.0 s, 42 candidates, 2 failed (time limit)"
     assert "Ctrl-C again aborts" in lines[2]
     assert "\x1b" not in stream.getvalue()
 
@@ -91,11 +92,12 @@ def test_a_terminal_shows_a_live_block_unless_quiet(quiet):
     assert shown == "" if quiet else all(word in shown for word in ("ended: ", "run 5/5  waits", "━"))
 
 
-def test_the_wait_for_a_compiler_is_announced_once():
+def test_the_wait_for_a_compiler_is_announced_once_and_only_where_it_compiles():
     lines = []
     with Journal(lines.append):
         tell_of_kernel("a kernel of this test")
-        tell_of_kernel("a kernel of this test")
-    assert lines == [
-        "preparing a kernel of this test: compiled once per version (under a minute), then loaded"
-    ]
+        assert lines == []
+        for _ in range(2):
+            numba.njit(lambda x: x + 1)(1)
+    said = [line for line in lines if "a kernel of this test" in line]
+    assert said == ["compiling a kernel of this test, once per version: under a minute"]

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -130,3 +131,17 @@ def test_a_check_gives_no_verdict_where_the_logs_contradict_the_campaign(drops, 
     assert document["withheld"]
     assert document["parameters"] == []
     assert any("the campaign states slope" in warning for warning in document["warnings"])
+
+
+def test_a_time_limit_ends_the_intervals_too(tmp_path, monkeypatch):
+    def endless(opened, options, journal):
+        while True:
+            time.sleep(0.01)
+
+    monkeypatch.setattr("sysid.workflows.fit.assess_opened", endless)
+    heard = []
+    options = FitOptions(out=tmp_path / "fit", quiet=True, time_limit=8.0)
+    result, folder = fit_campaign(write_lag(tmp_path), options, say=heard.append)
+    assert heard[-1] == f"warning: no intervals (time limit); run sysid trust {folder}"
+    assert (result.state, result.judged) == ("done", {})
+    assert read_fit(folder).state == "done"
