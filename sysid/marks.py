@@ -46,7 +46,8 @@ class Flag:
     """A field that the command line takes by its name, ``--name`` of the field or one of `names`.
 
     The user reads `help`, under the heading `panel` where a command has many options. A field with a `unit`
-    takes quantities such as ``"20 deg"``; a bare number is in that unit, and the field's value in SI. `least`
+    takes quantities such as ``"20 deg"``; a bare number is in that unit, but an angle needs its unit, because
+    Python's bare angles are in rad. The field's value is in SI. `least`
     is the smallest number that is accepted, in that unit, `most` the largest whole number.
     `read` makes the field's value from the text that
     the user gives and the name of the option. The help shows `default`, or the field's default.
@@ -78,8 +79,8 @@ class Flag:
         return value
 
     def bare(self, value: float) -> str:
-        """Return a value, given in SI, as the bare number that the option reads."""
-        return f"{value / _SI.get(self.unit, 1.0):.12g}"
+        """Return a value, given in SI, as the shortest text that the option reads."""
+        return f"{value / _SI.get(self.unit, 1.0):.12g}{'deg' if self.unit == 'deg' else ''}"
 
     def shown(self, value: float) -> str:
         """Return a default, given in SI, in the unit of the option."""
@@ -123,21 +124,27 @@ def field_values(
 
 
 def stated_quantity(text: str, unit: str, name: str) -> float:
-    """Return a quantity such as ``20 deg`` in SI, a bare number from `unit`; a refusal names `name`."""
+    """Return a quantity such as ``20 deg`` in SI, a bare number from `unit`; a refusal names `name`.
+
+    An angle needs its unit.
+    """
+    also = "" if unit == "deg" else f"; a bare number is in {unit}"
     try:
         value = float(text) * _SI.get(unit, 1.0)
+        if also == "" and math.isfinite(value):
+            raise UnitError(f"{name}: {text!r} has no unit; expected for example '{text} deg'")
     except ValueError:
         try:
             value = parse_quantity(text, unit)
         except UnitError as error:
-            raise UnitError(f"{name}: {error}; a bare number is in {unit}") from error
+            raise UnitError(f"{name}: {error}{also}") from error
     if not math.isfinite(value):
-        raise UnitError(f"{name} {text}: expected a finite number; a bare number is in {unit}")
+        raise UnitError(f"{name} {text}: expected a finite number{also}")
     return value
 
 
 def degrees(text: str, name: str) -> float:
-    """Return an angle [deg] from a text such as ``0.1 rad``; a bare number is in degrees."""
+    """Return an angle [deg] from a text such as ``0.1 rad``."""
     return round(math.degrees(stated_quantity(text, "deg", name)), 9)
 
 
@@ -161,8 +168,8 @@ def grid_flag(name: str, default: str, help: str, unit: str) -> Flag:
 def span(text: str, name: str, unit: str = "1") -> tuple[float, ...]:
     """Return ``first:last:step`` or a list ``a,b,c`` as increasing numbers in `unit`.
 
-    A unit stands behind each number, or behind the last one for all: ``0:45:1 deg``. `name` stands in a
-    refusal.
+    A unit stands behind each number, or behind the last one for all: ``0:45:1 deg``; angles need it. `name`
+    stands in a refusal.
     """
     values: list[float] = []
     if not isinstance(text, str):
@@ -172,6 +179,8 @@ def span(text: str, name: str, unit: str = "1") -> tuple[float, ...]:
     if behind and len(parts) > 1 and all(_is_number(part) for part in parts[:-1]):
         parts = [*(f"{part} {behind}" for part in parts[:-1]), parts[-1]]
     try:
+        if unit == "deg" and any(map(_is_number, parts)):
+            raise UnitError(f"an angle has no unit; expected for example '{text.strip()} deg'")
         # In `unit`, where bare numbers keep every digit.
         numbers = [
             float(part) if _is_number(part) else parse_quantity(part, unit) / _SI.get(unit, 1.0)

@@ -47,7 +47,7 @@ def landing_map(options: LandingMapOptions) -> int:
 @command(
     app,
     "impulse-map",
-    "sysid impulse-map fits/demo/gear-lf --motor fits/demo/motor --slopes 0:30:10 --speeds 0.4,0.8 "
+    "sysid impulse-map fits/demo/gear-lf --motor fits/demo/motor --slopes 0:30:10deg --speeds 0.4,0.8 "
     "--out impulses.h5",
 )
 def impulse_map(options: ImpulseMapOptions) -> int:
@@ -63,7 +63,7 @@ def impulse_map(options: ImpulseMapOptions) -> int:
 @command(
     app,
     "design-study",
-    "sysid design-study fits/demo/gear-lf --motor fits/demo/motor --vary k_t=0.5:2:3 --slopes 0:60:5 "
+    "sysid design-study fits/demo/gear-lf --motor fits/demo/motor --vary k_t=0.5:2:3 --slopes 0:60:5deg "
     "--out study.h5",
 )
 def design_study(options: DesignStudyOptions) -> int:

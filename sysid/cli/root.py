@@ -35,8 +35,8 @@ EXIT_CODES = {
 }
 _CODES = "\n".join(f"  {code:<4} {meaning}" for code, meaning in EXIT_CODES.items())
 _EPILOG = f"""Quantities carry a unit, as in --slope "20 deg" and --speed "0.5 m/s"; a bare number is in the
-unit that the help names. --plugin FILE.py behind any command names a Python file with a model of your own.
-COMMAND -h explains a command and ends with an example.
+unit that the help names, but an angle needs its unit. --plugin FILE.py behind any command names a Python
+file with a model of your own. COMMAND -h explains a command and ends with an example.
 
 \b
 Exit codes:

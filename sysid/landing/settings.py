@@ -69,7 +69,9 @@ class MapSettings:
     touchdown.
     """
 
-    slopes_deg: Annotated[tuple[float, ...], grid_flag("--slopes", "0:45:1", "Slopes", "deg")] = SLOPES_DEG
+    slopes_deg: Annotated[tuple[float, ...], grid_flag("--slopes", "0:45:1 deg", "Slopes", "deg")] = (
+        SLOPES_DEG
+    )
     speeds: Annotated[tuple[float, ...], grid_flag("--speeds", "0:2:0.05", "Touchdown speeds", "m/s")] = (
         SPEEDS
     )
@@ -196,7 +198,7 @@ class StudySettings:
     changes on a grid instead of one at a time.
     """
 
-    slopes_deg: Annotated[tuple[float, ...], grid_flag("--slopes", "0:60:1", "Slopes", "deg")] = tuple(
+    slopes_deg: Annotated[tuple[float, ...], grid_flag("--slopes", "0:60:1 deg", "Slopes", "deg")] = tuple(
         float(slope) for slope in range(61)
     )
     speeds: Annotated[

@@ -151,7 +151,7 @@ class _Simulate:
     ) -> Command:
         """Return the command of a landing; a number is what each cell replaces, and `more` is as written."""
         head = shlex.join(["sysid", "simulate", str(self.gears[surface]), *self.common])
-        parts = [f"{head} --slope ", slope, " --speed ", speed, *more]
+        parts = [f"{head} --slope ", slope, "deg --speed ", speed, *more]
         usual = Rules()
         for name, hint in field_hints(Rules).items():
             flag = mark_of(hint)
@@ -188,7 +188,7 @@ def _map_charts(content: MapFile, rules: Rules, simulate: _Simulate) -> list[Cel
             stated = settings["controllers"][number % len(settings["controllers"])]
             words = simulate.controller(stated, settings.get("controller_file"))
             if settings["pitch"]:
-                words += f" --pitch {np.degrees(settings['pitch']):.12g}"
+                words += f" --pitch {np.degrees(settings['pitch']):.12g}deg"
             if settings["horizontal_speed"]:
                 words += f" --horizontal-speed {settings['horizontal_speed']:.12g}"
             more = (words,)

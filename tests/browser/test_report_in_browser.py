@@ -240,7 +240,7 @@ def test_cells_are_read_by_mouse_keys_and_fingers(opened, run):
     find('do="y').send_keys(Keys.END)
     find('do="x').send_keys(Keys.HOME)
     assert (find('is="x').text, find('is="y').text) == ("0.3 m/s", "35 deg")
-    assert "--slope 35 --speed 0.3" in find('is="command').text != first
+    assert "--slope 35deg --speed 0.3" in find('is="command').text != first
     size = canvas.size
     corner = (size["width"] // 2 - 40, size["height"] // 2 - 70)
     ActionChains(driver).move_to_element_with_offset(canvas, *corner).perform()

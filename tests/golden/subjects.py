@@ -265,7 +265,7 @@ def landing_map():
 
 _HIGH = PUBLISHED / "published-gear-hf.json"
 _LANDED = (PUBLISHED / "published-gear-lf.json", "--motor", PUBLISHED / "published-motor.json")
-_GRID = ("--slopes", "4,14,24,40", "--speeds", "0.3,0.7,1.1,1.5")
+_GRID = ("--slopes", "4,14,24,40 deg", "--speeds", "0.3,0.7,1.1,1.5")
 _DROP = SAMPLES / "gear-lf" / "drop-1-5deg-0.50mps.csv"
 
 
@@ -296,14 +296,14 @@ def json_keys():
             "compare": (lf, other),
             "trust": (bench,),
             "static-limits": _LANDED[:1],
-            "simulate": (*_LANDED, "--slope", 10, "--speed", 0.5),
+            "simulate": (*_LANDED, "--slope", "10 deg", "--speed", 0.5),
             "landing-map": (*_LANDED, "--out", folder / "map.h5", *_GRID),
             "impulse-map": (
-                *_LANDED, "--out", folder / "impulse.h5", "--slopes", "14,24", "--speeds", "0.7,1.1",
+                *_LANDED, "--out", folder / "impulse.h5", "--slopes", "14,24 deg", "--speeds", "0.7,1.1",
                 "--delays", "0:0.1:0.05", "--durations", "0:0.1:0.05",
             ),
             "design-study": (
-                *_LANDED, "--out", folder / "study.h5", "--vary", "k_t=0.8:1.2:2", "--slopes", "10,20",
+                *_LANDED, "--out", folder / "study.h5", "--vary", "k_t=0.8:1.2:2", "--slopes", "10,20 deg",
                 "--speeds", "0.6",
             ),
         }  # fmt: skip

@@ -199,7 +199,7 @@ def test_curves_show_every_value():
 
 
 BASE = ("design-study", HF, "--motor", MOTOR, "--out", "s.h5")
-SMALL = (*BASE, "--slopes", "10:30:10", "--speeds", "0.4,0.8", "--vary", "dx_f=1.3:1.3:1")
+SMALL = (*BASE, "--slopes", "10:30:10 deg", "--speeds", "0.4,0.8", "--vary", "dx_f=1.3:1.3:1")
 
 
 def test_a_study_writes_its_file_and_figure(tmp_path, done, refused):
@@ -212,10 +212,11 @@ def test_a_study_writes_its_file_and_figure(tmp_path, done, refused):
 
 def test_rules_are_options_of_a_study(tmp_path, done):
     late = (
-        *BASE, "--vary", "k_t=1:1:1", "--slopes", "10,20", "--speeds", "0.4", "--controller", "impulse:3,0.1",
+        *BASE, "--vary", "k_t=1:1:1", "--slopes", "10,20 deg", "--speeds", "0.4",
+        "--controller", "impulse:3,0.1",
     )  # fmt: skip
     rules = ("--short", 0.1, "--long", 2, "--rest-speed", 0.06, "--rest-turn", 0.3, "--rest-time", 0.1)
-    done(*late, "--horizon", "3.5", *rules, "--flip-angle", "70", "--quiet")
+    done(*late, "--horizon", "3.5", *rules, "--flip-angle", "70 deg", "--quiet")
     found, _ = read_study(tmp_path / "s.h5")
     assert found.settings.rules == Rules(3.5, 0.1, 2.0, 0.06, 0.3, 0.1, math.radians(70.0))
 

@@ -19,7 +19,7 @@ from sysid.storage import datasets
 from sysid.workflows import landing_sources
 from sysid.workflows.landing_sources import BlockProgress
 
-GRID = ("--slopes", "4,40", "--speeds", "0.3,1.5")
+GRID = ("--slopes", "4,40 deg", "--speeds", "0.3,1.5")
 
 
 def assert_same(*paths, but=()):
@@ -37,8 +37,8 @@ def rows_of(path):
 
 
 def test_one_landing_per_set_as_csv_and_hdf5(done, tmp_path):
-    command = ("simulate", LF, "--motor", MOTOR, "--slope", 10, "--speed", 0.5)
-    command += ("--flip-angle", 70)
+    command = ("simulate", LF, "--motor", MOTOR, "--slope", "10 deg", "--speed", 0.5)
+    command += ("--flip-angle", "70 deg")
     out, _ = done(*command, "--controller", "off", "--out", "x.csv")
     assert "short" in out
     rows = rows_of("x.csv")
@@ -64,12 +64,12 @@ def test_one_landing_per_set_as_csv_and_hdf5(done, tmp_path):
 
 
 def test_options_reach_the_landing(run):
-    command = ("simulate", LF, "--motor", MOTOR, "--slope", 10, "--speed", 0.5, "--json")
+    command = ("simulate", LF, "--motor", MOTOR, "--slope", "10 deg", "--speed", 0.5, "--json")
     wide = json.loads(run(*command, "--short", "0.001", "--long", "5")[1])[0]
     assert wide["outcome"] == "near"
     imu = json.loads(run(*command, "--trigger", "imu")[1])[0]
     assert 0.001 < imu["trigger"] < 0.05
-    down = json.loads(run(*command, "--height", "0.5", "--pitch", "3")[1])[0]
+    down = json.loads(run(*command, "--height", "0.5", "--pitch", "3 deg")[1])[0]
     assert down["distance"] != wide["distance"]
     Path("mine.py").write_text(
         "from sysid.landing.controllers import Step, controller\n\n\n"
@@ -162,7 +162,18 @@ def test_ctrl_c_keeps_the_finished_blocks(run, done, monkeypatch, refused):
 
 def test_an_impulse_map(done):
     tried = ("--delays", "0:0.12:0.04", "--durations", "0:0.1:0.05")
-    command = ("impulse-map", LF, "--motor", MOTOR, "--slopes", "0,20", "--speeds", "0.4", "--out", "i.h5")
+    command = (
+        "impulse-map",
+        LF,
+        "--motor",
+        MOTOR,
+        "--slopes",
+        "0,20 deg",
+        "--speeds",
+        "0.4",
+        "--out",
+        "i.h5",
+    )
     done(*command, *tried, "--quiet")
     found = read_maps("i.h5")
     (best,) = found.impulses
@@ -180,7 +191,7 @@ def test_an_impulse_map(done):
     assert Path("i-impulse.png").exists()
 
 
-IMPULSE = ("impulse-map", LF, "--motor", MOTOR, "--slopes", "0,20", "--speeds", "0.4,0.8")
+IMPULSE = ("impulse-map", LF, "--motor", MOTOR, "--slopes", "0,20 deg", "--speeds", "0.4,0.8")
 IMPULSE += ("--quiet", "--no-repeat")
 
 
@@ -193,7 +204,7 @@ def test_motors_without_delay_pull_behind_as_they_push_in_front(done, options, r
     assert read_maps("i.h5").settings["impulses"]["rear"] == rear
 
 
-STUDY = ("design-study", HF, "--motor", MOTOR, "--slopes", "10:30:10", "--speeds", "0.4,0.8")
+STUDY = ("design-study", HF, "--motor", MOTOR, "--slopes", "10:30:10 deg", "--speeds", "0.4,0.8")
 STUDY += ("--vary", "dx_f=1.3:1.3:1")
 
 
@@ -207,7 +218,7 @@ STUDY += ("--vary", "dx_f=1.3:1.3:1")
             "the impulse search differs",
         ),
         (STUDY, ("--share", "0.9", "--short", "0.3"), "the grid or rule differs"),
-        ((*STUDY, "--spread", "5"), ("--spread", "0"), "the grid or rule"),
+        ((*STUDY, "--spread", "5 deg"), ("--spread", "0 deg"), "the grid or rule"),
     ],
 )
 def test_what_was_stopped_goes_on_on_another_number_of_threads(command, other, words, done, killed, refused):
@@ -222,7 +233,7 @@ def test_what_was_stopped_goes_on_on_another_number_of_threads(command, other, w
     assert_same("whole.h5", "cut.h5")
 
 
-DROP = ("simulate", LF, "--motor", MOTOR, "--slope", 10, "--speed", 0.5)
+DROP = ("simulate", LF, "--motor", MOTOR, "--slope", "10 deg", "--speed", 0.5)
 MAP = ("landing-map", LF, "--motor", MOTOR, "--out", "map.h5")
 SEARCH = ("impulse-map", *MAP[1:])
 DESIGNS = ("design-study", HF, "--motor", MOTOR, "--out", "s.h5", "--vary")
@@ -236,18 +247,18 @@ LATE = "impulse:50,100"  # milliseconds were meant
         ((*DROP, "--controller", LATE), "50ms"),
         ((*DROP, "--out", "x.txt"), "ends in .csv or .h5"),
         ((*DROP, "--out", "no/x.csv"), "make it first"),
-        ((*DROP, "--slope", "95"), "expected a slope within 85 deg"),
+        ((*DROP, "--slope", "95 deg"), "expected a slope within 85 deg"),
         ((*DROP, "--motor", LF), "expected motor sets"),
         ((*DROP, "--height", "-1"), "give both above 0"),
         ((*DROP, "--short", "2"), "swap them"),
         ((*DROP, "--horizon", "1e9"), "at most 100 s"),
         ((*DROP, "--rate", "1e12"), "lower the rate"),
-        ((*MAP, "--slopes", "45:0:1"), "--slopes"),
+        ((*MAP, "--slopes", "45:0:1 deg"), "--slopes"),
         ((*MAP, "--out", "map.csv"), "ends in .h5"),
         ((*MAP, "--resume"), "nothing to continue"),
         ((*MAP, "--controller", "off", "--controller", "off"), "'off' is named twice"),
         ((*MAP, "--controller", LATE), ("a step at 50 s, but only 3 s are simulated", "50ms")),
-        ((*MAP, "--slopes", "0:90:10"), "expected a slope within 85 deg"),
+        ((*MAP, "--slopes", "0:90:10 deg"), "expected a slope within 85 deg"),
         ((*MAP, "--speeds=-1:1:1"), "a downward speed of 0 or more"),
         ((*MAP, "--experiments", "missing.csv"), "cannot be read as CSV"),
         ((*MAP, LF), "one gear file per surface"),
@@ -259,12 +270,12 @@ LATE = "impulse:50,100"  # milliseconds were meant
         ((*SEARCH, "--durations", "0:1"), "--durations"),
         ((*DESIGNS, "k_t=1:2:3,dx_f=1:2:2,b_t=1:2:2", "--together"), "exactly two"),
         ((*DESIGNS, "k_t=1:2:3", "--share", "0"), "share of 0"),
-        ((*DESIGNS, "k_t=1:2:3", "--slopes", "5"), "two or more"),
+        ((*DESIGNS, "k_t=1:2:3", "--slopes", "5 deg"), "two or more"),
         ((*DESIGNS, "k_t=1:2:3", "--resume"), "nothing to continue"),
         ((*DESIGNS, "k_t=1:2:3", "--controller", "fly"), "no controller"),
         ((*DESIGNS, "k_t=1:2:3", "--controller", LATE), ("only 3 s are simulated", "--horizon")),
         ((*DESIGNS, "reversal_delay=-1s:0s:2"), "pause for"),
-        ((*DESIGNS, "k_t=1:1:1", "--slopes", "50:60:10", "--spread", "15"), "within 74 deg"),
+        ((*DESIGNS, "k_t=1:1:1", "--slopes", "50:60:10 deg", "--spread", "15 deg"), "within 74 deg"),
     ],
 )
 def test_refusals_are_one_sentence_and_write_nothing(tmp_path, command, says, refused):
@@ -275,7 +286,7 @@ def test_refusals_are_one_sentence_and_write_nothing(tmp_path, command, says, re
 @pytest.mark.slow
 def test_a_cluster_gives_the_same_map(done):
     pytest.importorskip("distributed", reason="Dask comes with the test extra")
-    command = ("landing-map", HF, "--motor", MOTOR, "--slopes", "5:40:7", "--speeds", "0.2:1.4:0.4")
+    command = ("landing-map", HF, "--motor", MOTOR, "--slopes", "5:40:7 deg", "--speeds", "0.2:1.4:0.4")
     done(*command, "--out", "here.h5")
     done(*command, "--out", "there.h5", "--dask", "local")
     tried = (*IMPULSE, "--delays", "0:0.08:0.04", "--durations", "0,0.05")

@@ -19,7 +19,7 @@ from sysid.landing.store import read_maps
 from sysid.resume import BlockStore
 from sysid.workflows import landing_maps
 
-CELLS = ("--slopes", "4", "--speeds", "0.3", "--no-repeat")
+CELLS = ("--slopes", "4 deg", "--speeds", "0.3", "--no-repeat")
 MAP = ("landing-map", LF, "--motor", MOTOR, *CELLS, "--controller", "off", "--out", "map.h5")
 IMPULSE = ("impulse-map", LF, "--motor", MOTOR, *CELLS, "--delays", 0, "--durations", 0, "--out", "map.h5")
 
@@ -160,9 +160,19 @@ def test_the_search_for_an_impulse_keeps_the_rules_of_landings():
 
 
 def test_the_horizon_and_the_flip_angle_reach_the_search_of_an_impulse_map(done):
-    command = (*IMPULSE, "--slopes", "20", "--speeds", "0.4", "--delays", "0,0.02", "--durations", "0,0.04")
+    command = (
+        *IMPULSE,
+        "--slopes",
+        "20 deg",
+        "--speeds",
+        "0.4",
+        "--delays",
+        "0,0.02",
+        "--durations",
+        "0,0.04",
+    )
     seen = {}
-    for rules in ((), ("--flip-angle", "10"), ("--horizon", "0.07")):
+    for rules in ((), ("--flip-angle", "10 deg"), ("--horizon", "0.07")):
         done(*command, *rules, "--quiet", "--force")
         (best,) = read_maps("map.h5").impulses
         seen[rules] = bool(np.isfinite(best.optimum["turn"]).all())

@@ -16,8 +16,8 @@ from sysid.report.cell_explorer import CellAxis, CellChart, explorer
 
 FOLDER = "my sets; 1"
 HEAD = f"{FOLDER}/lf.json", "--motor", "motor.json"
-GRID = ("--slopes", "12,31", "--speeds", "0.4,1.1", "--quiet")
-RULES = ("--long", "1.5", "--flip-angle", "70", "--horizon", "2.5")
+GRID = ("--slopes", "12,31 deg", "--speeds", "0.4,1.1", "--quiet")
+RULES = ("--long", "1.5", "--flip-angle", "70 deg", "--horizon", "2.5")
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +51,10 @@ def landed_as_said(chart, k, done):
     ("options", "words"),
     [
         (("--controller", "command:-50%", "--controller", "impulse:delay=50ms, duration=0.05"), ()),
-        (("--trigger", "imu", "--controller", "reverse", "--pitch", "3", *RULES), ("--trigger", "--pitch")),
+        (
+            ("--trigger", "imu", "--controller", "reverse", "--pitch", "3 deg", *RULES),
+            ("--trigger", "--pitch"),
+        ),
         (("--ideal-reversal", "--horizontal-speed", "0.2"), ("--ideal-reversal", "--horizontal-speed")),
     ],
 )
@@ -85,13 +88,15 @@ def test_commands_of_impulses_and_designs_land_as_their_cells_say(done):
 
 
 def test_what_the_report_of_a_map_refuses(done, refused, tmp_path):
-    done("landing-map", *HEAD, "--out", "map.h5", "--slopes", "5", "--speeds", "0.3", "--quiet")
+    done("landing-map", *HEAD, "--out", "map.h5", "--slopes", "5 deg", "--speeds", "0.3", "--quiet")
     refused("--gif is for the report of a fit", "report", "map.h5", "--gif", "a.gif")
     done("report", "map.h5", "--out", "a.html", "--quiet")
     refused(("exists already", "--force"), "report", "map.h5", "--out", "a.html")
     Path("cut.h5").write_bytes(Path("map.h5").read_bytes()[:-400])
     refused(("damaged or cut off", "write it again"), "report", "cut.h5")
-    refused("expected NAME=VALUE", "simulate", *HEAD, "--slope", "5", "--speed", "1", "--change", "k_t=1:2:3")
+    refused(
+        "expected NAME=VALUE", "simulate", *HEAD, "--slope", "5 deg", "--speed", "1", "--change", "k_t=1:2:3"
+    )
     # Sets that have moved: the page says what is missing.
     (tmp_path / "motor.json").unlink()
     done("report", "map.h5", "--out", "b.html", "--quiet")

@@ -9,6 +9,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+import sysid
+from fakes.places import SAMPLES
 from sysid.cli import app
 from sysid.cli.adapter import command
 from sysid.cli.root import EXIT_CODES, GROUPS
@@ -53,7 +55,7 @@ def test_values_and_defaults_reach_the_function(parse):
     result, values = parse("x", "y")
     assert result.exit_code == 7
     assert values == (("x", "y"), Group(), (1.0, 2.0), None)
-    _, values = parse("x", "--kind", "b", "--turn", "180", "--many", "3", "--many", "4", "--least", "2")
+    _, values = parse("x", "--kind", "b", "--turn", "180 deg", "--many", "3", "--many", "4", "--least", "2")
     assert values == (("x",), Group("b", math.pi), (3.0, 4.0), 2)
 
 
@@ -67,12 +69,14 @@ def test_wrong_values_are_refused_and_help_shows_defaults(parse):
 
 
 def test_quantities_carry_units_and_bare_numbers_keep_theirs(parse):
-    for text in ("90", "90 deg", "90deg", f"{math.pi / 2!r} rad"):
+    for text in ("90 deg", "90deg", f"{math.pi / 2!r} rad"):
         assert parse("x", "--turn", text)[1][1].turn == pytest.approx(math.pi / 2, rel=1e-15)
     assert parse("x", "--many", "3 mN", "--many", "4")[1][2] == (0.003, 4.0)
     refusals = {
         "3 m": "unit 'm' is not a 'deg'", "fast": "--turn: 'fast' is not a number", "nan": "finite",
         "-1 deg": "--turn -1 deg: expected 0 deg or more",
+        # Python's bare angles are in rad, so a command takes none.
+        "20": "--turn: '20' has no unit; expected for example '20 deg'",
     }  # fmt: skip
     for text, words in refusals.items():
         refusal = parse("x", "--turn", text)[0].exception
@@ -83,7 +87,7 @@ def test_quantities_carry_units_and_bare_numbers_keep_theirs(parse):
 @pytest.mark.parametrize(
     ("text", "unit", "values"),
     [
-        ("0:45:15", "deg", (0, 15, 30, 45)),
+        ("0:45:15deg", "deg", (0, 15, 30, 45)),
         ("0:45:15 deg", "deg", (0, 15, 30, 45)),
         ("0 deg, 1 rad", "deg", (0, 57.295779513)),
         ("0:100:50 ms", "s", (0, 0.05, 0.1)),
@@ -99,6 +103,14 @@ def test_quantities_carry_units_and_bare_numbers_keep_theirs(parse):
 )
 def test_grids_carry_units(text, unit, values):
     assert span(text, "--slopes", unit) == values
+
+
+def test_an_angle_needs_its_unit_in_a_grid_and_in_python_too():
+    for text in ("0:45:15", "10,20", "10, 20 deg, 30"):
+        with pytest.raises(CampaignError, match=f"--slopes '{text}': an angle has no unit; expected for "):
+            span(text, "--slopes", "deg")
+    with pytest.raises(UnitError, match="slope: '20' has no unit; expected for example '20 deg'"):
+        sysid.simulate_drop(SAMPLES / "published" / "published-gear-lf.json", slope="20", speed="0.5 m/s")
 
 
 @pytest.mark.parametrize("text", ["0:45", "a", "1,1", "5:0:1", "0:1:0", "", "0:45:1 m"])

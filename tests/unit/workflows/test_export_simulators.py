@@ -86,7 +86,7 @@ def test_one_file_per_set_or_one_alone(tmp_path, run):
     code, _, err = run("export", gear, "--out", tmp_path / "quad.xml")
     assert (code, "exists already" in err) == (2, True)
     target = tmp_path / "one.xml"
-    run("export", gear, "--out", target, "--set", "2", "--slope", "20", "--per-leg")
+    run("export", gear, "--out", target, "--set", "2", "--slope", "20 deg", "--per-leg")
     root = ElementTree.fromstring(target.read_bytes())
     assert from_mjcf(target.read_bytes()) == sets.set_values(2)
     slope = root.find("worldbody/geom[@name='slope']").get("euler").split()
@@ -123,8 +123,8 @@ def test_a_gazebo_model_with_its_numbers_is_one_file_under_its_own_name(tmp_path
         ("gear", ("--out", "x.sdf"), "needs the sets of a motor"),
         ("gear", ("--out", "x.json", "--per-leg"), "leave them out"),
         ("gear", ("--out", "x.xml", "--set", "9"), "no set of rank 9"),
-        ("gear", ("--out", "x.xml", "--slope", "88"), "between -85 and 85"),
-        ("motor", ("--out", "x.sdf", "--slope", "8"), "leave them out"),
+        ("gear", ("--out", "x.xml", "--slope", "88 deg"), "between -85 and 85"),
+        ("motor", ("--out", "x.sdf", "--slope", "8 deg"), "leave them out"),
         ("gear", ("--out", "no/x.xml"), "does not exist"),
     ],
 )
