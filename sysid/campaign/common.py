@@ -90,6 +90,15 @@ class TomlTable(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truth_as_a_number(cls, data: Any) -> Any:
+        for name, value in data.items() if isinstance(data, dict) else ():
+            field = cls.model_fields.get(name)
+            if isinstance(value, bool) and field is not None and field.annotation in (int, float):
+                raise ValueError(f"{name} = {str(value).lower()}: expected a number")
+        return data
+
 
 class ParameterChoices(TomlTable):
     """`[parameters]`: which rows of the model are free, between which bounds, and what others are fixed to.

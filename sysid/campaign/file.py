@@ -7,6 +7,7 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import UnionType
@@ -78,6 +79,13 @@ def read_campaign(path: str | Path, kind: str | None = None, *, exact: bool | No
         raise CampaignFileError(
             f"{path}: is a {stated} campaign, expected {kind}; use 'sysid fit', or name a {kind} campaign"
         )
+    strange = {*data} - {*_KINDS[stated].model_fields}
+    for other, model in _KINDS.items():
+        if strange and {*data} <= {*model.model_fields}:
+            raise CampaignFileError(
+                f"{path}: kind is {stated!r}, but {', '.join(sorted(strange))} belong to a {other} campaign; "
+                f"write kind = {other!r}"
+            )
     if unfilled:
         raise CampaignFileError(
             f"{path}: still TODO: {', '.join(unfilled)}; measure each and write it with its unit "
@@ -96,8 +104,12 @@ def refuse_repeated_logs(campaign: CampaignTable, path: str | Path) -> None:
 
     Trials that state different parts of a log, such as segments or bodies, are different recordings.
     """
-    logs = {trial.name: Path(path).parent / trial.log for trial in campaign.trials}
-    sizes = {name: log.stat().st_size for name, log in logs.items() if log.is_file()}
+    logs: dict[str, Path] = {}
+    for trial in campaign.trials:
+        # One that is missing is refused where it is read.
+        with suppress(CampaignFileError):
+            logs[trial.name] = resolve_log(path, trial.log)
+    sizes = {name: log.stat().st_size for name, log in logs.items()}
     seen: dict[tuple[str, str], TrialTable] = {}
     for trial in campaign.trials:
         if [*sizes.values()].count(sizes.get(trial.name, -1)) < 2:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,15 @@ class Checkpoint(BlockStore):
     ) -> None:
         self._written: dict[int, tuple[float, StageHistory]] = {}
         super().__init__(result, identity, resume=resume, force=force)
+
+    @classmethod
+    def options(cls, result: str | Path) -> dict[str, Any]:
+        """Return the options of the search of an unfinished fit by name; none where they cannot be read."""
+        try:
+            stored = exact_json.loads((cls.folder_of(result) / cls._FILE).read_text(encoding="utf-8"))
+            return {key[7:]: value for key, value in stored.items() if key.startswith("option_")}
+        except (OSError, ValueError, AttributeError):
+            return {}
 
     def take_up(self) -> None:
         """Check the identity; refuse the files of versions that kept every cost."""

@@ -9,7 +9,9 @@ programs, and a folder whose copy states other sets is refused.
 from __future__ import annotations
 
 import hashlib
+import shlex
 from collections.abc import Callable, Mapping
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +129,16 @@ def fit_folder(path: Path) -> Path:
     return path.parent if path.name == "fit.h5" else path
 
 
+def _meant(path: Path) -> str:
+    """Return which fits a path that holds none may stand for, the likeliest first, in words."""
+    place = path if path.is_dir() else path.parent
+    found = [file.parent for pattern in ("*/fit.h5", "*/*/fit.h5") for file in place.glob(pattern)]
+    found += [file for file in place.glob("*.h5") if file != path]
+    found.sort(key=lambda one: (-SequenceMatcher(None, one.stem, path.stem).ratio(), one))
+    names = [shlex.quote(str(one)) for one in found[:3]]
+    return f"; did you mean {' or '.join(names)}?" if names else ""
+
+
 def read_fit(path: str | Path) -> FitResult:
     """Read a fit folder, or its ``fit.h5``.
 
@@ -142,7 +154,7 @@ def read_fit(path: str | Path) -> FitResult:
         )
     if not file_path.is_file():
         absent = FitError(
-            f"{path}: no fit.h5 there; expected a folder that sysid fit-motor or fit-gear wrote"
+            f"{path}: no fit.h5 there; expected a folder that sysid fit-motor or fit-gear wrote{_meant(path)}"
         )
         raise absent.also(FileNotFoundError)
     with FIT_FILE.opened(file_path) as file:

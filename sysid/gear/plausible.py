@@ -20,6 +20,14 @@ _SHALLOW = np.radians(2.0)
 _GYRATION = (0.3, 1.2)
 # Limits of the mass over the cube of that distance [kg/m³]: the F450 has 200, a solid stone ten times that.
 _DENSITY = (30.0, 1200.0)
+# Distance of the thrust from the centre of mass, as a share of the feet's [1]; the F450's.
+_THRUST_POINT = 0.86
+# Mass of a pair of legs, as a share of the body's [1]; the F450's.
+_LEG_MASS = 0.016
+# Inertia of a pair of legs over the body's mass and the square of the feet's distance [1]; the F450's.
+_LEG_INERTIA = 0.0048
+# Length of a board, as a multiple of the feet's distance [1].
+_BOARD = 5.0
 
 
 def notice_contradictions(campaign: GearCampaign, trial: GearTrial, seen: DropReport | None) -> None:
@@ -86,3 +94,16 @@ def notice_odd_vehicle(campaign: GearCampaign) -> None:
             f"{density:.3g} kg/m³; vehicles have {_DENSITY[0]:g} to {_DENSITY[1]:g}: check the mass, the "
             "lengths and their units",
         )
+    for name, value, usual, most in (
+        ("thrust_point_dx", vehicle.thrust_point_dx, _THRUST_POINT * size, 10.0),
+        ("leg_mass", vehicle.leg_mass, _LEG_MASS * mass, 50.0),
+        ("leg_inertia", vehicle.leg_inertia, _LEG_INERTIA * mass * size**2, 50.0),
+        ("board_length", campaign.surface.board_length, _BOARD * size, 50.0),
+    ):
+        if value is not None and not 1 / most <= value / usual <= most:
+            ratio = float(f"{value / usual:.2g}")
+            notice(
+                f"odd-{name.replace('_', '-')}",
+                f"{name} = {value:.4g} is {ratio:g} × what a vehicle of this mass and size has (about "
+                f"{usual:.2g}): check the value and its unit",
+            )

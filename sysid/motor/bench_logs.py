@@ -181,6 +181,9 @@ def bench_log(campaign: MotorCampaign, path: str | Path, entry: MotorTrial) -> B
         raise LogError(
             f"{where}: window {begin:g} to {end:g} s lies outside the log's {time[0]:.3f} to {time[-1]:.3f} s"
         )
+    if begin < 0.0 <= time[0]:
+        early = f"start = {begin:g} s is before the log, which begins at {time[0]:g} s: check its sign"
+        notice("odd-start", early, trial=entry.name)
     window = begin, end
     speed = _signed_speed(entry, raw.time, raw.values, u, window, where)
     stalls = [s for s in trial_log.find_stalls(time, steps) if s.end >= window[0] and s.start <= window[1]]

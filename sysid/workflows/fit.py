@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from sysid.campaign import read_campaign
 from sysid.errors import FitError, SysidError
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_finding
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
@@ -82,9 +83,11 @@ def fit_campaign(
     Raises `SysidError` when an input cannot be used; nothing has been written then.
     """
     path, options = Path(path), options or FitOptions()
-    exact = {"exact": True} if getattr(options, "exact", False) else {}
+    folder = options.folder(read_campaign(path, kind).name)
+    begun = Checkpoint.options(folder) if options.resume else {}
+    exact = {"exact": True} if getattr(options, "exact", None) or begun.get("exact") else {}
     model, campaign, ignored = open_campaign(path, kind, law={**(law or {}), **exact})
-    folder, search = options.folder(campaign.name), options.search(campaign.fit)
+    search = options.search(campaign.fit, begun)
     deadline = Deadline(search.time_limit)
     if options.resume and options.force:
         raise FitError("--resume continues a fit and --force discards it; choose one")

@@ -8,10 +8,10 @@ to landings or to a search is declared with them (`sysid.landing.settings`, `sys
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from sysid.errors import CampaignError, ExportError, LogError
 from sysid.fit.settings import SearchSettings
@@ -33,8 +33,10 @@ def campaign_file(path: Path) -> Path:
         return path / "campaign.toml" if path.is_dir() else path
     files = sorted(path.glob("*.toml"))
     if len(files) != 1:
-        found = ", ".join(file.name for file in files) or "no .toml file"
-        raise CampaignError(f"{path}: expected one campaign in this folder, found {found}; name the file")
+        found, then = ", ".join(file.name for file in files) or "no .toml file", "name the file"
+        if not files and any(file.is_file() and not _no_log(file) for file in path.iterdir()):
+            then = f"write one for the logs in it: sysid new-campaign gear (or motor) --minimal --from {path}"
+        raise CampaignError(f"{path}: expected one campaign in this folder, found {found}; {then}")
     return files[0]
 
 
@@ -150,11 +152,15 @@ class FitOptions:
         """Return where a fit called `name` goes."""
         return self.out if self.out is not None else Path("fits") / name
 
-    def search(self, table: CampaignSearch) -> SearchSettings:
-        """Return the campaign's search settings with those that the user states instead."""
+    def search(self, table: CampaignSearch, begun: Mapping[str, Any] | None = None) -> SearchSettings:
+        """Return the campaign's search settings with those that the user states instead.
+
+        A fit that goes on keeps the options with which it was `begun`.
+        """
         stated = {name: getattr(self, name) for name in field_hints(SearchOptions)}
         return SearchSettings(**{
             **{field.name: getattr(table, field.name) for field in fields(CampaignSearch)},
+            **{name: value for name, value in (begun or {}).items() if name in field_hints(CampaignSearch)},
             **{name: value for name, value in stated.items() if value is not None},
         })  # fmt: skip
 

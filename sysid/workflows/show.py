@@ -60,9 +60,13 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
     place = result.provenance.get("campaign", {}).get("from_fit_folder")
     campaign = os.path.normpath(folder / place) if place else "CAMPAIGN"
     search = result.provenance.get("search", {})
-    same = "".join(f" --{name} {search[name]}" for name in ("runs", "seed") if name in search)
-    again = f"fit-{result.kind} {campaign} --out {folder} --resume{same}"
-    cut = (again, "first: finish the runs that were cut short (add its other options)")
+    # The checkpoint has all other options.
+    same = {"runs": search.get("runs"), "max-evaluations": search.get("max_evaluations")}
+    same |= {"surface": result.settings.get("surface")}
+    command = f"fit-{result.kind}" if result.kind in ("gear", "motor") else "fit"
+    again = f"{command} {campaign} --out {folder} --resume"
+    again += "".join(f" --{name} {value}" for name, value in same.items() if value)
+    cut = (again, "first: finish the runs that were cut short")
     use = (
         (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
         (f"export {folder} --out sets.json", "the sets for a simulator"),

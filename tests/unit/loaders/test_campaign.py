@@ -16,7 +16,7 @@ from sysid.stated import Stated, error_of
 MEASURED = {
     "body_mass": "1.242 kg", "body_inertia": "0.0137 kg·m²", "foot_dx": "105 mm", "foot_dz": "151 mm",
     "thrust_point_dx": "159 mm", "leg_mass": "0.02 kg", "leg_inertia": "2.0e-4 kg·m²",
-    "kinetic_friction": "0.44", "kv": "960 rpm/V", "rotor_inertia": "2.7e-5 kg·m²",
+    "kinetic_friction": "0.44", "law": "lf", "kv": "960 rpm/V", "rotor_inertia": "2.7e-5 kg·m²",
     "reference_voltage": "11.1 V",
 }  # fmt: skip
 PLAIN = {

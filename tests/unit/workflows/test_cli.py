@@ -173,11 +173,11 @@ def test_a_minimal_campaign_says_what_the_logs_say_and_refuses_the_rest(tmp_path
     assert slopes == [f"{slope} ± 0.2 deg" for slope in wanted]
     found = {key: stated["capture"][key] for key in ("rigid_body", "up", "down_slope")}
     assert found == {"rigid_body": "F450", "up": "+y", "down_slope": "-z"}
-    names = ["still TODO: ", "drop-6-35deg-0.45mps'].slope", "vehicle.body_mass", "surface.kinetic_friction"]
+    names = ["still TODO: ", "drop-6-35deg-0.45mps'].slope", "vehicle.body_mass", "surface.law"]
     refused(names, "check", target)
     measured = {
         "body_mass": "1.242 kg", "body_inertia": "0.0137 kg·m²", "foot_dx": "105 mm", "foot_dz": "151 mm",
-        "leg_mass": "0.02 kg", "leg_inertia": "2e-4 kg·m²", "kinetic_friction": "0.44",
+        "leg_mass": "0.02 kg", "leg_inertia": "2e-4 kg·m²", "kinetic_friction": "0.44", "law": "lf",
         "thrust_point_dx": "159 mm",
     }  # fmt: skip
     for key, value in measured.items():

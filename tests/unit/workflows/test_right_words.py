@@ -9,8 +9,11 @@ from pathlib import Path
 import pytest
 
 from fakes.lag_kind import write_lag
+from fakes.places import SAMPLES
+from sysid.campaign import read_campaign
 from sysid.errors import CampaignFileError
 from sysid.fit.store import read_fit
+from sysid.gear.plausible import notice_odd_vehicle
 from sysid.journal import Journal, notice, tell
 from sysid.report.answer import next_step
 from sysid.trust.documents import TrustDocument
@@ -145,3 +148,79 @@ def test_a_time_limit_ends_the_intervals_too(tmp_path, monkeypatch):
     assert heard[-1] == f"warning: no intervals (time limit); run sysid trust {folder}"
     assert (result.state, result.judged) == ("done", {})
     assert read_fit(folder).state == "done"
+
+
+def test_a_campaign_of_another_kind_is_named(tmp_path):
+    text = (SAMPLES / "gear-lf" / "campaign.toml").read_text(encoding="utf-8")
+    path = tmp_path / "drops.toml"
+    path.write_text(text.replace('kind = "gear"', 'kind = "motor"'), encoding="utf-8")
+    words = r"kind is 'motor', but capture, surface, vehicle belong to a gear campaign; write kind = 'gear'"
+    with pytest.raises(CampaignFileError, match=words):
+        open_campaign(path)
+
+
+@pytest.mark.parametrize(("key", "low"), [("runs", "true"), ("seed", "false"), ("cutoff", "true")])
+def test_a_truth_is_no_number(tmp_path, key, low):
+    path = write_lag(tmp_path)
+    text = path.read_text(encoding="utf-8")
+    if key == "cutoff":
+        text = (SAMPLES / "gear-lf" / "campaign.toml").read_text(
+            encoding="utf-8"
+        ) + f"[filter]\n{key} = {low}\n"
+    else:
+        text = re.sub(r"(?m)^runs = .*$", f"{key} = {low}", text)
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CampaignFileError, match=rf"{key}.*(= {low}: expected a number|expected a quantity)"):
+        read_campaign(path)
+
+
+def test_a_folder_of_logs_is_shown_the_way_to_a_campaign(tmp_path, refused):
+    (tmp_path / "drop.csv").touch()
+    refused(f"sysid new-campaign gear (or motor) --minimal --from {tmp_path}", "fit-gear", tmp_path)
+
+
+def test_the_nearest_fit_is_named(lag, refused, tmp_path):
+    parent = lag[1].parent
+    refused(["did you mean", str(lag[1])], "trust", parent)
+    refused(f"did you mean {lag[1]}", "report", parent / "fiit")
+    refused("no fit.h5 there; expected", "report", tmp_path / "nosuch.h5")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        (
+            "thrust_point_dx",
+            "159 m",
+            "thrust_point_dx = 159 is 1000 × what a vehicle of this mass and size has",
+        ),
+        ("leg_inertia", "0.2 kg·m²", "leg_inertia = 0.2 is 990 × what"),
+        ("leg_mass", "20 kg", "leg_mass = 20 is 1000 × what"),
+        ("board_length", "1.2 mm", "board_length = 0.0012 is 0.0013 × what"),
+    ],
+)
+def test_an_implausible_value_is_named_with_its_ratio(key, value, said, tmp_path):
+    text = (SAMPLES / "gear-lf" / "campaign.toml").read_text(encoding="utf-8")
+    path = tmp_path / "drops.toml"
+    path.write_text(re.sub(rf'(?m)^{key} = "[^"]*"', f'{key} = "{value}"', text), encoding="utf-8")
+    for file, expected in ((path, 1), (SAMPLES / "gear-lf" / "campaign.toml", 0)):
+        with Journal() as journal:
+            notice_odd_vehicle(read_campaign(file, "gear"))
+        assert len([each for each in journal.misstated if said in each]) == expected
+        assert len(journal.misstated) == expected
+
+
+def test_the_line_that_goes_on_with_a_fit_works_as_it_is_printed(tmp_path, run):
+    path = write_lag(tmp_path, search="runs = 2\n")
+    options = ("--population", "16", "--algorithm", "de", "--finish", "none", "--seed", "4", "--exact")
+    # The time is over when the first generation is.
+    code, out, err = run("fit", path, "--out", tmp_path / "fit", *options, "--time-limit", "1 ms")
+    assert code == 0, err
+    (line,) = (line.strip() for line in out.splitlines() if "--resume" in line)
+    command = line.partition("  ")[0].split()[1:]
+    assert "--population" not in command
+    assert run(*command)[0] == 0
+    again = read_fit(tmp_path / "fit").provenance["search"]
+    assert [again[name] for name in ("population", "algorithm", "finish", "seed", "exact")] == [
+        16, "de", "none", 4, True,
+    ]  # fmt: skip
