@@ -30,7 +30,7 @@ from sysid.report.html import (
 )
 from sysid.report.plots import SERIES, Curve, Panel, View, interactive, printed
 from sysid.report.table import NONE, Cell, Table, name_and_unit, numbers, table, words
-from sysid.report.trust_tables import comparison_table, cross_table, judged_cell
+from sysid.report.trust_tables import comparison_table, cross_table, judged_cell, known_table
 from sysid.trust.comparison import Comparison
 from sysid.trust.documents import TrustDocument
 from sysid.types import BoolArray, FloatArray
@@ -73,6 +73,8 @@ def comparison_page(document: Comparison, fits: Sequence[ComparedFit]) -> str:
     if document.warnings:
         count = len(document.warnings)
         out += unfoldable(f"{count} warning{'s' * (count > 1)}", bullets(document.warnings, "warnings"))
+    if (known := known_table(document)) is not None:
+        out += heading("Known values") + markup_table(known)
     out += heading("Parameters") + table
     every = markup_table(comparison_table(document))
     out += unfoldable("Every difference and what the intervals allow", every, printed=False)
@@ -101,6 +103,10 @@ def _answer(document: Comparison, names: Sequence[str]) -> Html:
     elif differ:
         symbols = ", ".join(dict.fromkeys(row.symbol for row in differ))
         following = f"ask why {symbols} changed: another drone, surface or supply, or a model that lacks it."
+        if document.known:
+            following = (
+                f"the fits take different values as known, listed below, which may be why {symbols} differ."
+            )
     tiles = [
         (f"{len(differ)} of {len(judged)}", "differences are more than the 95 % intervals explain"),
         (str(len(rows) - len(judged)), "differences cannot be judged: an interval is open or missing"),
@@ -132,7 +138,8 @@ def _parameter_table(document: Comparison, fits: Sequence[ComparedFit]) -> Table
         if name not in free[k]:
             return Cell("not free")
         row = free[k][name].judged
-        return Cell(f"{row.interval}, {row.words}", judged_cell(row).tone) if row else Cell(NONE)
+        short = "not" if row and row.lost else row and row.verdict
+        return Cell(f"{row.interval}, {short}", judged_cell(row).tone) if row else Cell(NONE)
 
     def differs(name: str) -> Cell:
         rows = [row for row in document.differences if row.parameter == name]
@@ -145,11 +152,12 @@ def _parameter_table(document: Comparison, fits: Sequence[ComparedFit]) -> Table
     shown = [
         words("symbol", lambda name: name_and_unit(records[name].symbol or name, records[name].unit)),
         words("name", lambda name: name.replace("_", " ")),
+        # What the page is for stands where no width cuts it off.
+        words("difference", differs),
     ]
     for k, fit in enumerate(fits):
         shown.append(numbers(fit.sets.name, partial(value, k)))
-        shown.append(words("95 % interval, verdict", partial(span, k)))
-    shown.append(words("difference", differs))
+        shown.append(words("95 %, identifiable", partial(span, k)))
     note = "values: where the sum of squares is least; differs: by more than the 95 % intervals explain"
     return table("", list(records), shown, note)
 
@@ -202,7 +210,7 @@ def _view(fit: ComparedFit, trial: OverlaidTrial) -> View:
             if len(instants) != len(time):
                 values = np.interp(time, instants - instants[0], values, left=math.nan, right=math.nan)
             colour = SERIES[k % len(SERIES)]
-            curves.append(Curve(f"best set of {name}", values, colour, scaled=False))
+            curves.append(Curve(f"best set of {name}", values, colour))
             errors.append(Curve(f"residual of {name}", values - measured, colour, "thin"))
         name = channel_symbol(fit.fit.channels[c])
         panels += [Panel(name, unit, curves), Panel(f"residuals of {name}", unit, errors, low=True)]

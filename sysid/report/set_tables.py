@@ -105,7 +105,9 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
     identifiable" replaces the digits of `unfixed` parameters. A parameter of which any set ends at a bound is
     flagged.
     """
-    rows = mean_table(*fits)
+    # Known values of several fits differ, and stand beside each other in a table of their own.
+    one = len(fits) == 1
+    rows = [row for row in mean_table(*fits) if one or any(row.fitted)]
     notes = [_SPREAD] if any(np.any(np.nan_to_num(sets.sigma, posinf=0.0) > 0) for sets in fits) else []
     left_out = sum(int(np.count_nonzero(~sets.counted)) for sets in fits)
     if left_out:
@@ -144,9 +146,11 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
             words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
             # The fits first: a phone shows the left of a table.
             *(numbers(sets.name, partial(fitted, k)) for k, sets in enumerate(fits)),
-            *(judged if len(fits) == 1 and fits[0].judged else ()),
+            *(judged if one and fits[0].judged else ()),
             # A range of no width is one value.
-            words("measured", lambda row: " to ".join(dict.fromkeys(map(rounded, row.measured))) or NONE),
+            words("measured", lambda row: " to ".join(dict.fromkeys(map(rounded, row.measured))) or NONE)
+            if one
+            else None,
             words("bounds", bounds),
         ),
     )

@@ -306,6 +306,15 @@ def validation_table(name: str, document: ValidationDocument | CrossValidationDo
     )
 
 
+def known_table(document: Comparison) -> Table | None:
+    """Return the known values that differ between fits, as each campaign states them; None where none does."""
+    rows = [("law", *document.laws)] if document.laws else []
+    for row in document.known:
+        shown = ("free" if value is None else rounded(value) for value in row.values)
+        rows.append((name_and_unit(row.parameter.replace("_", " "), row.unit), *shown))
+    return listed("known values that differ", rows, ("known value", *document.fits)) if rows else None
+
+
 def comparison_table(document: Comparison) -> Table:
     """Return which parameters differ between fits by more than their intervals allow."""
 

@@ -8,7 +8,7 @@ from itertools import combinations
 
 from sysid.documents import Part
 from sysid.parameter_sets import ParameterSets
-from sysid.parameters import with_unit
+from sysid.parameters import SearchSpace, with_unit
 from sysid.trust.documents import FreeParameter, TrustDocument
 from sysid.trust.linearized import NORMAL_95
 
@@ -35,17 +35,45 @@ class Difference(Part):
     sentence: str
 
 
+class KnownValue(Part):
+    """A value that fits take as known, each its own, because their campaigns state it differently."""
+
+    parameter: str
+    unit: str
+    # As each campaign states it [unit]; None where the fit searched it.
+    values: list[float | None]
+
+
 class Comparison(Part):
     """What `sysid compare` prints as JSON."""
 
     # Names of the fits.
     fits: list[str]
     kind: str
+    # Friction law of each fit, or what else its kind is fitted under; empty where all are alike.
+    laws: list[str]
+    known: list[KnownValue]
     differences: list[Difference]
     # NRMSE of every fit's best set (row) on every fit's trials (column) [1]; None where not asked.
     cross: list[list[float]] | None
     sentences: list[str]
     warnings: list[str]
+
+
+def known_values(spaces: Sequence[SearchSpace]) -> list[KnownValue]:
+    """Return the known values that differ between the search spaces of fits; of single trials none."""
+    known = [{**space.fixed, **space.stated} for space in spaces]
+    out = []
+    for name in dict.fromkeys(name for values in known for name in values if "[" not in name):
+        values = [each.get(name) for each in known]
+        there = [value for value in values if value is not None]
+        stated = any(name in space.stated for space in spaces)
+        if not all(math.isclose(value, there[0], rel_tol=1e-9) for value in there) or (
+            stated and len(there) < len(values)
+        ):
+            unit = next(space.table[name].unit for space in spaces if name in space.table)
+            out.append(KnownValue(parameter=name, unit=unit, values=[v and float(v) for v in values]))
+    return out
 
 
 def compare_values(

@@ -13,9 +13,9 @@ from sysid.journal import Journal, Say
 from sysid.report.comparison_page import ComparedFit, OverlaidTrial, comparison_page
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.set_tables import mean_sigma_table
-from sysid.report.trust_tables import comparison_table, cross_table
+from sysid.report.trust_tables import comparison_table, cross_table, known_table
 from sysid.storage import check_file, write_file
-from sysid.trust.comparison import Comparison, compare_values, unjudged
+from sysid.trust.comparison import Comparison, compare_values, known_values, unjudged
 from sysid.trust.documents import TrustDocument, with_intervals
 from sysid.types import FloatArray
 from sysid.workflows.predict import open_under, predict
@@ -24,7 +24,7 @@ from sysid.workflows.reopen import OpenedFit, open_fit
 
 def compare_and_print(
     folders: Sequence[Path], *, cross: bool, page: Path | None, threads: int | None, force: bool, say: Say,
-    json: bool, quiet: bool,
+    json: bool, quiet: bool = False,
 ) -> None:  # fmt: skip
     """Compare fits and print the comparison; write its page to a file where one is named."""
     if page is not None:
@@ -36,6 +36,10 @@ def compare_and_print(
         write_file(page, comparison_page(document, compared).encode("utf-8"), ExportError)
     if print_result(document.model_dump() | ({"page": str(page)} if page else {}), json) or quiet:
         return
+    if (known := known_table(document)) is not None:
+        print_table(known)
+    else:
+        print_lines(["the fits take the same values as known"])
     print_table(mean_sigma_table(*(fit.sets for fit in compared)))
     print_table(comparison_table(document))
     if document.cross is not None:
@@ -82,9 +86,12 @@ def compare_fits(
             lines.append(
                 f"the trials of {label} are predicted best by {names[best]} ({100 * table[best, j]:.2f} %)"
             )
+    laws = [", ".join(str(fit.result.settings.get(law, "")) for law in fit.kind.laws) for fit in opened]
     document = Comparison(
         fits=names,
         kind=kinds[0],
+        laws=laws if len(set(laws)) > 1 else [],
+        known=known_values([fit.space for fit in opened]),
         differences=differences,
         cross=None if table is None else table.tolist(),
         sentences=lines,

@@ -14,8 +14,10 @@ from sysid.campaign import read_campaign
 from sysid.errors import CampaignFileError
 from sysid.fit.store import read_fit
 from sysid.gear.plausible import notice_odd_vehicle
+from sysid.gear.problem import gear_space
 from sysid.journal import Journal, notice, tell
 from sysid.report.answer import next_step
+from sysid.trust.comparison import known_values
 from sysid.trust.documents import TrustDocument
 from sysid.workflows import predict
 from sysid.workflows.fit import fit_campaign
@@ -224,3 +226,28 @@ def test_the_line_that_goes_on_with_a_fit_works_as_it_is_printed(tmp_path, run):
     assert [again[name] for name in ("population", "algorithm", "finish", "seed", "exact")] == [
         16, "de", "none", 4, True,
     ]  # fmt: skip
+
+
+def test_known_values_that_differ_are_stated_for_each_fit(tmp_path):
+    """A known value of one fit was printed for both."""
+    text = (SAMPLES / "gear-lf" / "campaign.toml").read_text(encoding="utf-8")
+    spaces = []
+    for friction, law in (("0.54", "lf"), ("0.58", "lf"), ("0.54", "hf")):
+        path = tmp_path / "drops.toml"
+        changed = text.replace("kinetic_friction = 0.44", f"kinetic_friction = {friction}")
+        path.write_text(changed.replace('law = "lf"', f'law = "{law}"'), encoding="utf-8")
+        spaces.append(gear_space(read_campaign(path, "gear")))
+    assert known_values(spaces[:1] * 2) == []
+    (row,) = known_values(spaces[:2])
+    assert (row.parameter, row.values) == ("kinetic_friction", [0.54, 0.58])
+    free = {row.parameter: row.values for row in known_values(spaces[::2])}
+    assert free["leg_mass"] == [0.02, None]
+    assert free["kinetic_friction"] == [0.54, None]
+
+
+def test_a_comparison_begins_with_the_known_values(lag, run):
+    copy = lag[1].with_name("copy")
+    shutil.copytree(lag[1], copy, dirs_exist_ok=True)
+    code, out, err = run("compare", lag[1], copy)
+    assert code == 0, err
+    assert out.lstrip().startswith("the fits take the same values as known")
