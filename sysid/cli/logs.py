@@ -12,6 +12,7 @@ from sysid.cli.adapter import command
 from sysid.cli.root import app, print_json, print_next, synthesize
 from sysid.marks import Argument, Flag
 from sysid.workflows.options import (
+    Details,
     Figure,
     Force,
     Json,
@@ -39,6 +40,7 @@ def inspect(
     format: LogFormat = "auto",
     option: LoaderOption = (),
     figure: Figure = None,
+    details: Details = False,
     json: Json = False,
 ) -> None:
     """Say what logs contain, and what looks wrong in them.
@@ -54,7 +56,9 @@ def inspect(
         from sysid.report.inspect_figures import figure_logs
 
         draw = lambda recordings, reports: save_figure(figure_logs(recordings, reports), figure)  # noqa: E731
-    inspect_files(logs, format_name=format, options=parse_options(option), draw=draw, as_json=json)
+    inspect_files(
+        logs, format_name=format, options=parse_options(option), draw=draw, details=details, as_json=json
+    )
 
 
 @command(app, "convert", "sysid convert data_samples/motor/forward-1.csv --out forward-1.h5")

@@ -307,7 +307,7 @@ def validation_table(name: str, document: ValidationDocument | CrossValidationDo
 
 
 def known_table(document: Comparison) -> Table | None:
-    """Return the known values that differ between fits, as each campaign states them; None where none does."""
+    """Return the known values that differ between fits, as each campaign states them; None: none."""
     rows = [("law", *document.laws)] if document.laws else []
     for row in document.known:
         shown = ("free" if value is None else rounded(value) for value in row.values)

@@ -7,7 +7,7 @@ import re
 import shlex
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
 
@@ -16,17 +16,20 @@ from rich.console import Console
 from rich.text import Text
 
 from sysid.errors import CampaignError, LogError, SegmentError, SysidError
+from sysid.journal import folded, spoken
 from sysid.loaders import formats, load
 from sysid.loaders.alignment import join_recordings
 from sysid.loaders.guess import Missing, missing
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Recording
 from sysid.report.fold import print_result, print_table
-from sysid.report.table import listed, number, numbers, table, words
+from sysid.report.table import NONE, listed, number, numbers, table, words
 from sysid.storage import check_file
 from sysid.trials.look import BenchReport, DropReport, LogReport, inspect_recording
 
 _MOST_ROWS = 40
+# Largest number of logs of which each is shown with its channels.
+_FEW = 2
 _HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5")
 Draw = Callable[[Sequence[Recording], Sequence[LogReport]], Path]
 
@@ -63,9 +66,10 @@ def inspect_files(
     format_name: str = "auto",
     options: Mapping[str, object] | None = None,
     draw: Draw | None = None,
+    details: bool = False,
     as_json: bool = False,
 ) -> None:
-    """Print the content of logs, as tables or JSON, and draw them.
+    """Print the content of logs, as tables or JSON, and draw them; of three and more a row each.
 
     A refused log does not hide the others. Its refusal takes its place, in JSON as an object with the
     keys ``path`` and ``error``, and is raised in the end. `draw` gets the logs that are not refused and
@@ -92,7 +96,12 @@ def inspect_files(
             print(json.dumps(rows, ensure_ascii=False, indent=2))
     else:
         console = Console(soft_wrap=True)
+        short = len(results) > _FEW and not details
+        if short:
+            _print_rows(console, reports)
         for path, result in results:
+            if short and isinstance(result, LogReport):
+                continue
             if isinstance(result, LogReport):
                 print_log(console, result)
                 unread = any(note.code == "columns-not-read" for note in result.notes)
@@ -121,6 +130,45 @@ def inspect_files(
             names = ", ".join(path for path, _ in refusals)
             sentence = f"{len(refusals)} of {len(paths)} logs refused: {names}; each says why in its place"
         raise type(refusals[0][1])(sentence)
+
+
+def _print_rows(console: Console, reports: Sequence[LogReport]) -> None:
+    """Print a row for each log, and what is common to them or looks wrong once."""
+    drops, benches = any(report.drop for report in reports), any(report.bench for report in reports)
+
+    def of_drop(shown: Callable[[DropReport], str]) -> Callable[[LogReport], str]:
+        return lambda report: shown(report.drop) if report.drop else NONE
+
+    def of_bench(shown: Callable[[BenchReport], float]) -> Callable[[LogReport], str]:
+        return lambda report: number(shown(report.bench)) if report.bench else NONE
+
+    degrees = of_drop(lambda drop: NONE if drop.slope is None else f"{np.degrees(drop.slope):.1f}")
+    columns = (
+        words("log", lambda report: Path(report.path).name),
+        None if drops else numbers("lasts", lambda report: number(report.duration), "s"),
+        numbers("rate", lambda report: number(max((c.rate for c in report.channels), default=np.nan)), "Hz"),
+        numbers("touchdown", of_drop(lambda drop: f"{drop.touchdown:.3f}"), "s") if drops else None,
+        numbers("at", of_drop(lambda drop: f"{drop.impact_speed:.2f}"), "m/s") if drops else None,
+        numbers("slope", degrees, "deg") if drops else None,
+        numbers("top speed", of_bench(lambda bench: bench.top_speed), "rad/s") if benches else None,
+        numbers("command levels", of_bench(lambda bench: bench.commands)) if benches else None,
+    )
+    print_table(table("", reports, columns), console)
+    # A slope has a column.
+    suggested = {line for report in reports if report.drop for line in _drop_lines(report.drop)[1:2]}
+    for line in sorted(suggested):
+        console.print(Text(line))
+    for style, what in (("bold yellow", "suspicions"), ("", "notes")):
+        findings = [
+            replace(finding, trials=(Path(report.path).name,))
+            for report in reports
+            for finding in getattr(report, what)
+            if what == "suspicions" or finding not in report.suspicions
+        ]
+        for finding in folded(findings):
+            word = "suspicious" if style else "note"
+            console.print(Text(f"{word}: {spoken(finding, len(reports), 'logs')}", style=style))
+    console.print(Text("the channels of a log: sysid inspect LOG, or --details for all"))
 
 
 def _print_missing(

@@ -233,7 +233,9 @@ def test_the_command_inspect_shows_and_draws_the_logs_around_a_bad_one(tmp_path,
         rows = "".join(f"{t:.2f},{level + np.sin(t):.4f}\n" for t in time)
         (tmp_path / name).write_text("Time (s),Fz (N)\n" + rows, encoding="utf-8")
     (tmp_path / "bad.csv").write_text("Time (s),Fz (N)\n", encoding="utf-8")
-    result = CliRunner().invoke(app, ["inspect", "a.csv", "bad.csv", "c.csv", "--figure", "look.png"])
+    result = CliRunner().invoke(
+        app, ["inspect", "a.csv", "bad.csv", "c.csv", "--figure", "look.png", "--details"]
+    )
     assert isinstance(result.exception, LogError)
     assert re.search(r"bad\.csv.*1 of 3 logs refused", str(result.exception))
     for words in ("a.csv", "c.csv", "refused: bad.csv", "wrote look.png"):

@@ -251,3 +251,25 @@ def test_a_comparison_begins_with_the_known_values(lag, run):
     code, out, err = run("compare", lag[1], copy)
     assert code == 0, err
     assert out.lstrip().startswith("the fits take the same values as known")
+
+
+def test_eight_drops_are_looked_at_in_a_row_each(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    logs = SAMPLES / "gear-lf"
+    lines = run("inspect", logs)[1].splitlines()
+    assert len(lines) <= 25
+    (row,) = (line.split() for line in lines if "drop-4" in line and "note" not in line)
+    # Touchdown [s], its speed [m/s] and the slope [deg] that its name states.
+    assert row[2:] == ["13.493", "1.11", "20.0"]
+    assert sum("time rebuilt from frame numbers" in line for line in lines) == 1
+    assert len(run("inspect", logs, "--details")[1].splitlines()) > 150
+    assert "board-1/position" in run("inspect", logs / "drop-1-5deg-0.50mps.csv")[1]
+
+
+@pytest.mark.slow
+def test_a_check_is_short(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, err = run("check", SAMPLES / "gear-lf")
+    assert code == 0, err
+    assert len((out + err).splitlines()) <= 25
+    assert "not identifiable" in out
