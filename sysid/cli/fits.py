@@ -21,6 +21,7 @@ from sysid.workflows.options import (
     FitOptions,
     Force,
     Json,
+    OtherCampaign,
     Quiet,
     ReportOptions,
     Sets,
@@ -129,17 +130,26 @@ def trust(
 
 @command(app, "validate", "sysid validate fits/demo/gear-lf data_samples/gear-lf")
 def validate(
-    fit: FitFolder, campaign: CampaignPath, threads: Threads = None, quiet: Quiet = False, json: Json = False
+    fit: FitFolder,
+    campaign: OtherCampaign = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> int:
-    """Predict trials that a fit has not seen.
+    """Predict trials that a fit has not seen; without a campaign each of its own, fitted without.
 
-    Says the NRMSE over the noise, when a prediction leaves the noise, and where the drone stops. The exit
-    code is 3 where a prediction is flagged.
+    Says the NRMSE over the noise, from when on a prediction is off by more, and where the drone stops. The
+    exit code is 3 where a prediction is flagged.
     """
     from sysid.report.trust_tables import print_validation
-    from sysid.workflows.predict import validate_fit
+    from sysid.workflows.predict import cross_validate, validate_fit
 
-    document = validate_fit(fit, campaign, threads=threads, say=unless(quiet or json))
+    say = unless(quiet or json)
+    document = (
+        cross_validate(fit, threads=threads, say=say)
+        if campaign is None
+        else validate_fit(fit, campaign, threads=threads, say=say)
+    )
     if json or not quiet:
         print_validation(document, fit, json)
     return FLAGGED if document.flagged else 0
@@ -236,10 +246,14 @@ def report(
 
 @command(app, "show", "sysid show fits/demo/gear-lf")
 def show(fit: Sets, json: Json = False) -> None:
-    """Print the ranked parameter sets of a fit."""
+    """Print the ranked parameter sets of a fit, or the fits of a folder."""
+    from sysid.workflows.fits import list_fits, print_fits
     from sysid.workflows.show import print_sets
 
-    print_sets(fit, json)
+    if fit.is_dir() and not (fit / "fit.h5").is_file() and list_fits(fit):
+        print_fits(fit, json)
+    else:
+        print_sets(fit, json)
 
 
 @command(app, "export", "sysid export fits/demo/motor --for gazebo --mass '1.2 kg'")

@@ -76,6 +76,9 @@ def log_files(paths: tuple[Path, ...]) -> tuple[Path, ...]:
 
 _OUTPUT, _COMPUTING = "Output", "Computing"
 CampaignPath = Annotated[Path, Argument("Campaign file (TOML), or the folder that holds it.", campaign_file)]
+OtherCampaign = Annotated[
+    Path | None, Argument("Campaign with other trials, or the folder that holds it.", campaign_file)
+]
 Logs = Annotated[tuple[Path, ...], Argument("Logs, or folders of logs.", log_files)]
 FitFolder = Annotated[Path, Argument("Fit folder, or its fit.h5.")]
 Sets = Annotated[Path, Argument("Fit folder, or file of parameter sets.")]

@@ -273,3 +273,11 @@ def test_a_check_is_short(run, monkeypatch):
     assert code == 0, err
     assert len((out + err).splitlines()) <= 25
     assert "not identifiable" in out
+
+
+def test_validate_alone_is_cross_validation_and_show_lists_a_folder(lag, run):
+    alone = json.loads(run("validate", lag[1], "--json")[1])
+    assert all("refit" in trial for trial in alone["trials"])
+    assert [trial["name"] for trial in alone["trials"]] == ["step-0", "step-1", "step-2"]
+    assert run("show", lag[1].parent)[1] == run("fits", lag[1].parent)[1]
+    assert "time constant" in run("show", lag[1])[1] or "τ" in run("show", lag[1])[1]
