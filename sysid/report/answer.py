@@ -174,7 +174,7 @@ def parameter_table(fit: FitResult, trust: TrustDocument | None, truth: Mapping[
             numbers("95 % interval", lambda row: row.judged.interval if row.judged else NONE),
             words("unit", lambda row: row.record.unit or "1"),
             words("verdict", lambda row: judged_cell(row.judged) if row.judged else NONE),
-            words("partners", partners),
+            words("correlates with", partners),
             numbers("measured", lambda row: ends_of(row.record.measured_range)) if ranges else None,
             numbers("truth", true) if truth else None,
         ),

@@ -41,6 +41,7 @@ def _curves(study: DesignStudy, only: int | None = None) -> Figure:
     figure, every = panels(count, min(count, 3), cell, around, sharey=True)
     landable, steepest = study.landable, study.steepest
     top = max(1.0, float(np.max(landable)), float(np.nanmax(steepest)))
+    half = float(np.max(np.diff(study.settings.slopes_deg))) / 2
     for k, (c, panel) in enumerate(zip(shown, every, strict=True)):
         change, chosen = study.changes[c], study.along(c)
         values = study.points[chosen, c]
@@ -48,6 +49,9 @@ def _curves(study: DesignStudy, only: int | None = None) -> Figure:
         for m, _ in enumerate(study.settings.speeds):
             colour = _COLOURS[m % len(_COLOURS)]
             panel.plot(values, landable[chosen, m], color=colour, linewidth=1.6)
+            # A dip within half a step of the slopes is none.
+            ends = landable[chosen, m] - half, landable[chosen, m] + half
+            panel.fill_between(values, *ends, color=colour, alpha=0.15, linewidth=0)
             edge = study.at_edge[chosen, m]
             for which, marker in ((~edge, "o"), (edge, "^")):
                 if which.any():
@@ -66,7 +70,9 @@ def _curves(study: DesignStudy, only: int | None = None) -> Figure:
         Line2D([], [], color=_COLOURS[m % len(_COLOURS)], label=f"{speed:g} m/s")
         for m, speed in enumerate(study.settings.speeds)
     ]
-    handles.append(Line2D([], [], color="0.3", label="width of slopes\nlanded on"))
+    handles.append(
+        Line2D([], [], color="0.3", label=f"width of slopes landed\non, ± {half:g} deg by their grid")
+    )
     markers = {"o": _STEEPEST} | ({"^": "or more: no\nsteeper one tried"} if study.at_edge.any() else {})
     for marker, words in markers.items():
         handles.append(

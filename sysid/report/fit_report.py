@@ -7,6 +7,7 @@ piece of the page, in a notebook as well; a piece that needs what has not been c
 
 from __future__ import annotations
 
+import html
 import math
 import re
 from collections.abc import Callable, Iterable
@@ -83,6 +84,13 @@ from sysid.types import FloatArray
 if TYPE_CHECKING:
     from sysid.report.drop_replay import DropReplay
 
+# Sections without a link above the page.
+_UNLINKED = {
+    "animation", "convergence", "correlation", "filter_response", "ladder", "modes", "profiles", "spikes",
+    "spread", "supply_law",
+}  # fmt: skip
+# A section that has nothing to show but the reason.
+_ONLY_A_NOTE = re.compile(r'<h2[^>]*>[^<]*</h2>(?:<p>[^<]*</p>)?<p class="note">([^<]*)</p>')
 Content = TypeVar("Content", bound=Callable[..., Html])
 _COUNTS = (
     "no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve",
@@ -155,10 +163,17 @@ class FitReport:
 
     def page(self) -> str:
         """Return the report as one page of HTML."""
-        out = self.answer()
+        out, more = self.answer(), []
         for row in self.sections:
-            pieces = [self._section(name) for name in row]
-            out += columns(*pieces) if len(pieces) == 2 else pieces[0]
+            pieces = []
+            for name in row:
+                section = self._section(name)
+                empty = _ONLY_A_NOTE.fullmatch(section.text)
+                more += [f"{getattr(self, name).title}: {html.unescape(empty[1])}"] if empty else []
+                pieces += [] if empty else [section]
+            out += columns(*pieces) if len(pieces) == 2 else joined(pieces)
+        if more:
+            out += paragraph(f"More. {' '.join(more)}", "note")
         return page(f"sysid: {self.fit.name}", out)
 
     @classmethod
@@ -172,7 +187,8 @@ class FitReport:
 
     def _section(self, name: str) -> Html:
         content = getattr(self, name)
-        return heading(content.title) + (paragraph(content.text) if content.text else NOTHING) + content()
+        above = heading(content.title, linked=name not in _UNLINKED)
+        return above + (paragraph(content.text) if content.text else NOTHING) + content()
 
     # The content of the fit and its folder.
 
@@ -364,8 +380,9 @@ class FitReport:
         out = interactive(views, "measured and simulated", noun=self.noun, chosen=self._first())
         about = paragraph(self.about_signals, "note") if self.about_signals else NOTHING
         judged = self.fit.provenance.get("adequacy", {})
-        biases = [Bias.model_validate(each).sentence for each in judged.get("biases", ())]
-        return out + about + bullets(biases, "warnings")
+        biases = map(Bias.model_validate, judged.get("biases", ()))
+        unexplained = [bias.sentence for bias in biases if not bias.assumed_explains]
+        return out + about + bullets(unexplained, "warnings")
 
     def view(self, fit: FitResult, trial: TrialResult) -> View:
         """Return a trial's channels with what the kind adds, to be touched or as a figure."""
@@ -407,13 +424,15 @@ class FitReport:
         curves = picture(figure_convergence(self.fit), words, "Convergence of the runs.")
         words = f"final NRMSE of {runs} runs over the best one, by rank; {ended}"
         sentence = agreement.sentence()
-        return side_by_side([curves, picture(figure_waterfall(self.fit), words, caption)]) + paragraph(
-            f"{sentence[:1].upper()}{sentence[1:]}."
-        )
+        # Runs that agree are one point.
+        apart = [] if agreement.agrees else [picture(figure_waterfall(self.fit), words, caption)]
+        return side_by_side([curves, *apart]) + paragraph(f"{sentence[:1].upper()}{sentence[1:]}.")
 
     @titled("Spread")
     def spread(self) -> Html:
         """Return where the sets lie between the bounds."""
+        if self.fit.agreement.agrees:
+            return paragraph("no two runs ended apart.", "note")
         return picture(
             figure_spread(self.fit),
             "place of every set between the bounds of the search, a row per free parameter; the best set is "
@@ -428,12 +447,13 @@ class FitReport:
     )
     def profiles(self) -> Html:
         """Return the profiles of the likelihood."""
+        if self.trust is None:
+            return self.missing("profiles of the likelihood", "sysid trust")
         pieces = []
         for row, *curve, _ in self.likelihood_profiles:
             words = f"deviance over {row.name}, all others fitted again: {row.words}"
             pieces.append(picture(figure_profile(row, *curve), words))
-        out = side_by_side(pieces)
-        return out if self.trust else out + self.missing("profiles of the likelihood", "sysid trust")
+        return side_by_side(pieces)
 
     @titled(
         "Correlation",
@@ -499,7 +519,9 @@ class FitReport:
             words = f"amplitude spectrum of {name} before the filter, and the gain of the filter ({kind})"
             pieces.append(picture(figure, words))
         missing = "The signals were not filtered, or the fit lacks their spectra."
-        return side_by_side(pieces) if pieces else paragraph(missing, "note")
+        if not pieces:
+            return paragraph(missing, "note")
+        return unfoldable("Spectra and the gain of the filter", side_by_side(pieces), printed=False)
 
     @titled("Provenance")
     def provenance(self) -> Html:
@@ -555,7 +577,7 @@ class FitReport:
     def missing(self, what: str, command: str, arguments: str = "") -> Html:
         """Return the line that names the command which computes a missing part."""
         what = f"{what[:1].upper()}{what[1:]}"
-        return paragraph(f"{what}: not computed; run {command} {self.folder}{arguments}", "note")
+        return paragraph(f"{what}: not computed; run {command} {self.folder}{arguments}.", "note")
 
 
 def _counted(number: int, noun: str) -> str:

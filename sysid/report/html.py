@@ -90,8 +90,10 @@ def paragraph(text: str, kind: str = "") -> Html:
     return Html(f"<p{_class(kind)}>{html.escape(text)}</p>")
 
 
-def heading(text: str, level: int = 2) -> Html:
-    """Return a heading with an identity that a link can name."""
+def heading(text: str, level: int = 2, *, linked: bool = True) -> Html:
+    """Return a heading with an identity that a link can name, unless none is `linked` to it."""
+    if not linked:
+        return Html(f"<h{level}>{html.escape(text)}</h{level}>")
     identity = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
     return Html(f'<h{level} id="{identity}">{html.escape(text)}</h{level}>')
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from sysid.landing.design_study import DesignStudy
@@ -66,7 +67,10 @@ def gains_table(study: DesignStudy) -> Table:
     speeds = (f"{speed:g} m/s" for speed in study.settings.speeds)
     heads = ("change", "best", "gain [deg]", "worst", "loss [deg]", *speeds)
     note = "gain: in width of slopes landed on, mean over the speeds; columns of speeds: the largest safe "
-    note += "slope [deg] at the best value"
+    step = max(b - a for a, b in pairwise(study.settings.slopes_deg))
+    note += (
+        f"slope [deg] at the best value; slopes are known to ± {step / 2:g} deg, half a step of their grid"
+    )
     if any(any(bounds) for bounds in (edge, *(row["at_edge"] for row in gains))):
         note += "; ≥: safe up to the steepest slope tried, so gains are lower bounds; raise --slopes"
     return listed(f"{study.name}: degrees of slope that a change buys", rows, heads, note, {1})

@@ -104,7 +104,7 @@ def _page(
     rows = [(name, str(value)) for name, value in simulate.sources.items()]
     parts = [
         heading(title, 1), paragraph(f"{words}."),
-        heading("Cells"), explored,
+        Html(f'<div class="unprinted">{heading("Cells").text}{explored.text}</div>'),
         heading("In numbers"), table,
         heading("Figures"), figures,
         heading("Provenance"), definitions(rows, "where it comes from"),

@@ -364,7 +364,10 @@ class DesignStudyOptions:
     motors: MotorOptions
     vary: Annotated[
         str,
-        Flag("Factors first:last:count, as in k_t=0.5:2:5,dx_f=0.8:1.4:4; reversal_delay=0ms:200ms:5 adds."),
+        Flag(
+            "Factors first:last:count in equal ratios, as in k_t=0.5:2:5,dx_f=0.8:1.4:4; "
+            "reversal_delay=0ms:200ms:5 adds, in equal steps."
+        ),
     ]
     out: ResultFile
     controller: OneController = "reverse"
