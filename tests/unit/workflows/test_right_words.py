@@ -87,14 +87,14 @@ def test_quiet_prints_nothing(lag, run):
 )
 def test_one_log_in_two_trials_is_refused_by_its_content(tmp_path, use, why):
     path = write_lag(tmp_path)
-    shutil.copy(tmp_path / "0.json", tmp_path / "again.bin")
+    shutil.copy(tmp_path / "0.csv", tmp_path / "again.txt")
     text = path.read_text(encoding="utf-8")
     path.write_text(
-        f'{text}\n[[trials]]\nname = "twin"\nlog = "again.bin"\nuse = "{use}"\nstep = 0.5\n', encoding="utf-8"
+        f'{text}\n[[trials]]\nname = "twin"\nlog = "again.txt"\nuse = "{use}"\nstep = 0.5\n', encoding="utf-8"
     )
     with pytest.raises(CampaignFileError) as refusal:
         open_campaign(path)
-    assert "trials 'step-0' (0.json) and 'twin' (again.bin) are the same log (SHA-256 " in str(refusal.value)
+    assert "trials 'step-0' (0.csv) and 'twin' (again.txt) are the same log (SHA-256 " in str(refusal.value)
     assert why in str(refusal.value)
 
 
@@ -122,7 +122,7 @@ def test_what_the_data_leave_open_is_no_reason_to_record_more(lag, ends, opened,
     step = next_step(read_fit(lag[1]), trust, True, "fits/lag", "drop")
     assert (
         step
-        == f"use the sets: `sysid export fits/lag` writes them. τ does not matter for these drops: {said}."
+        == f"use the sets: `sysid export fits/lag` writes them. time_constant does not matter for these drops: {said}."
     )
 
 
@@ -280,4 +280,4 @@ def test_validate_alone_is_cross_validation_and_show_lists_a_folder(lag, run):
     assert all("refit" in trial for trial in alone["trials"])
     assert [trial["name"] for trial in alone["trials"]] == ["step-0", "step-1", "step-2"]
     assert run("show", lag[1].parent)[1] == run("fits", lag[1].parent)[1]
-    assert "time constant" in run("show", lag[1])[1] or "τ" in run("show", lag[1])[1]
+    assert "time_constant" in run("show", lag[1])[1]
