@@ -120,10 +120,8 @@ def test_what_the_data_leave_open_is_no_reason_to_record_more(lag, ends, opened,
     row = row.model_copy(update={"verdict": "not_identifiable", "interval_95": ends, "open_95": opened})
     trust = trust.model_copy(update={"parameters": [row]})
     step = next_step(read_fit(lag[1]), trust, True, "fits/lag", "drop")
-    assert (
-        step
-        == f"use the sets: `sysid export fits/lag` writes them. time_constant does not matter for these drops: {said}."
-    )
+    does = f"time_constant does not matter for these drops: {said}."
+    assert step == f"use the sets: `sysid export fits/lag` writes them. {does}"
 
 
 def test_a_check_gives_no_verdict_where_the_logs_contradict_the_campaign(drops, run):
