@@ -108,7 +108,7 @@ def verdict_on(result: FitResult) -> str:
     sides = zip(result.parameters, result.at_bound[0].tolist(), strict=True)
     if bounds := sorted(record.name for record, side in sides if side and record.name not in words):
         lost.append(f"at a bound: {', '.join(bounds)}")
-    if not all(row.name in result.judged for row in result.searched):
+    if not all(row.name in result.judged for row in result.searched if row.status == "free"):
         lost.append("no intervals were computed, so nothing is said to be identifiable")
     known = "; ".join(lost) or "every free parameter is identifiable"
     decided = {row.decided_by for row in result.judged.values()} - {None}

@@ -10,6 +10,7 @@ import pytest
 
 from fakes.lag_kind import write_lag
 from fakes.places import SAMPLES
+from sysid.api import load_fit
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignFileError
 from sysid.fit.store import read_fit
@@ -42,6 +43,11 @@ def test_no_parameter_is_called_identifiable_without_intervals(tmp_path):
     said = verdict_on(result)
     assert "every free parameter is identifiable" not in said
     assert "at a bound: time constant; no intervals were computed" in said
+
+
+def test_every_parameter_is_called_identifiable_with_intervals_alone(lag):
+    assert "; every free parameter is identifiable; " in verdict_on(load_fit(lag[1]).result)
+    assert "no intervals were computed" in verdict_on(read_fit(lag[1]))
 
 
 def test_a_fit_has_one_nrmse(lag, run):
