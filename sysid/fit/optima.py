@@ -85,11 +85,11 @@ class Agreement:
             return f"{runs} of {runs} runs reached the same optimum ({self._scored(best)})"
         others = self.cost[self.optimum != 0]
         places = int(self.optimum.max())
-        word = "place" if places == 1 else "places"
+        word = "optimum" if places == 1 else "optima"
         if others.max() <= best * (1 + SAME_NRMSE):
             return (
                 f"{self.reached} of {runs} runs reached the best optimum and the others end as low in "
-                f"{places} other {word}: the data do not tell these sets apart; compare them before one "
+                f"{places} other {word}: the data prefer none of these sets; compare them before one "
                 "is used"
             )
         alone = " alone" if self.reached == 1 else ""

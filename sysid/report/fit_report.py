@@ -443,7 +443,7 @@ class FitReport:
     @titled(
         "Profiles",
         "One parameter is kept at each value of the axis while all others are fitted again. Where the curve"
-        " stays low, the data do not tell the values apart.",
+        " stays low, the data fit these values alike.",
     )
     def profiles(self) -> Html:
         """Return the profiles of the likelihood."""
@@ -457,7 +457,7 @@ class FitReport:
 
     @titled(
         "Correlation",
-        "Parameters that stand in for each other cannot be told apart by these trials.",
+        "Of two strongly correlated parameters these trials show one combination, not each.",
     )
     def correlation(self) -> Html:
         """Return how the estimates go together."""

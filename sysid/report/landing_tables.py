@@ -32,7 +32,7 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
         ),
         "rigid: closed forms for stiff legs"
         + (" (creeps: at 0.05 m/s)" if creeps else "")
-        + "; bending legs: as fitted, set down on the slope at once",
+        + "; bending legs: as fitted, released on the slope at rest",
     )
 
 

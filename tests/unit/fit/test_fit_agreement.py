@@ -36,11 +36,11 @@ def test_worse_runs_are_said_to_be_local():
     assert found.order == (1, 3, 0, 2)
     text = found.sentence()
     assert text.startswith("the runs disagree: 2 of 4 reached the best optimum (NRMSE 8.000 %)")
-    assert "1.250 to 1.375 × it in 2 other places" in text
+    assert "1.250 to 1.375 × it in 2 other optima" in text
     assert "--runs 20" in text
     assert "1 of 3 alone reached" in agreement(runs[:3]).sentence()
     equal = agreement([run(0.08, (0.2, 0.5)), run(0.08, (0.8, 0.5))]).sentence()
-    assert "the data do not tell these sets apart" in equal
+    assert "the data prefer none of these sets" in equal
     assert "a single run cannot say" in agreement(runs[:1]).sentence()
 
 
