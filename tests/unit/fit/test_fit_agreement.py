@@ -26,7 +26,7 @@ def test_same_place_and_nrmse_is_one_optimum():
     runs = [run(0.0800, (0.2, 0.5)), run(0.08005, (0.21, 0.5)), run(0.0800, (0.2, 0.51))]
     found = agreement(runs)
     assert (found.reached, found.agrees) == (3, True)
-    assert found.sentence() == "3 of 3 runs reached the same optimum (NRMSE 8.000 %)"
+    assert found.sentence() == "3 of 3 runs reached the same optimum (NRMSE 8.00 %)"
 
 
 def test_worse_runs_are_said_to_be_local():
@@ -35,7 +35,7 @@ def test_worse_runs_are_said_to_be_local():
     assert found.optimum.tolist() == [1, 0, 2, 0]
     assert found.order == (1, 3, 0, 2)
     text = found.sentence()
-    assert text.startswith("the runs disagree: 2 of 4 reached the best optimum (NRMSE 8.000 %)")
+    assert text.startswith("the runs disagree: 2 of 4 reached the best optimum (NRMSE 8.00 %)")
     assert "1.250 to 1.375 × it in 2 other optima" in text
     assert "--runs 20" in text
     assert "1 of 3 alone reached" in agreement(runs[:3]).sentence()
@@ -59,7 +59,7 @@ def test_where_a_run_was_cut_is_no_optimum(ended, reason, advice):
     found = agreement([best, worse, cut])
     assert found.sentence() == (
         f"1 of 3 runs was not finished ({reason}) and says nothing about optima yet; best so far: NRMSE "
-        f"8.000 %, the finished ones end at 1.000 to 1.250 × it; {advice}"
+        f"8.00 %, the finished ones end at 1.000 to 1.250 × it; {advice}"
     )
     assert [line.split()[5] for line in waterfall([best, worse, cut])[1:]] == ["A", "B", "-"]
     # Neither one that agrees with the others nor one alone is finished.
@@ -74,15 +74,15 @@ def test_runs_that_were_not_begun_are_missed():
     ends = "which says nothing about optima yet; best so far: NRMSE"
     stop, go_on = "(stopped by the user)", "; continue with --resume"
     assert agreement([cut, cut], 5).sentence() == (
-        f"2 of 5 runs were begun, none of them finished {stop}, {ends} 12.000 %{go_on}"
+        f"2 of 5 runs were begun, none of them finished {stop}, {ends} 12.00 %{go_on}"
     )
     tail = ", the finished ones end at 1.000 to 1.000 × it"
     assert agreement([best, cut], 5).sentence() == (
-        f"2 of 5 runs were begun, 1 of them finished {stop}, {ends} 8.000 %{tail}{go_on}"
+        f"2 of 5 runs were begun, 1 of them finished {stop}, {ends} 8.00 %{tail}{go_on}"
     )
     # Stopped between two runs: what was begun was finished, and the fit still is not.
     between = agreement([best, best], 5)
-    assert between.sentence() == f"2 of 5 runs were begun, all of them finished, {ends} 8.000 %{tail}{go_on}"
+    assert between.sentence() == f"2 of 5 runs were begun, all of them finished, {ends} 8.00 %{tail}{go_on}"
     assert not between.agrees
     assert agreement([best, best], 2).agrees
 
