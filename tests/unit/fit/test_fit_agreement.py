@@ -147,8 +147,8 @@ def test_runs_that_differ_only_in_what_the_data_do_not_fix_share_an_optimum():
 def test_waterfall_lists_every_run_best_first():
     lines = waterfall([run(0.10, (0.9, 0.5)), run(0.08, (0.2, 0.5))])
     assert len(lines) == 3
-    assert lines[1].split()[:6] == ["1", "2", "8.000", "%", "1.0000", "A"]
-    assert lines[2].split()[:6] == ["2", "1", "10.000", "%", "1.2500", "B"]
+    assert lines[1].split()[:6] == ["1", "2", "8.00", "%", "1.0000", "A"]
+    assert lines[2].split()[:6] == ["2", "1", "10.00", "%", "1.2500", "B"]
     assert "NRMSE change below the tolerance" in lines[1]
 
 

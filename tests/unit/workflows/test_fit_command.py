@@ -64,7 +64,7 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
     refused("unfinished fit is there; continue it with --resume, or discard it with --force", *fit)
     shown = run("fit-gear", campaign, *SMALL[:-1], "--out", "shown", "--time-limit", "0.001 s")[1]
     assert "verdict (with 0 of 2 runs finished): " in shown
-    again = re.search(r"next:\n  sysid fit-gear (\S+) --out shown --resume --runs 2 --seed 1 ", shown)
+    again = re.search(r"next:\n  sysid fit-gear (\S+) --out shown --resume --runs 2 --surface lf ", shown)
     assert Path(again[1]).resolve() == Path(campaign).resolve()
     refused("the option seed differs (now 9, then 1)", *fit, "--resume", "--seed", "9")
     code, _, err = run(*fit, "--resume")
@@ -247,7 +247,7 @@ def test_another_processor_is_noted(cut, monkeypatch, run):
 
 def test_more_runs_keep_the_best_five(campaign, run):
     fit = ("fit-gear", campaign, *SMALL, "--finish", "none", "--runs", "7")
-    code, _, err = run(*(word for word in fit if word != "--quiet"))
+    code, _, err = run(*(word for word in fit if word != "--quiet"), "--details")
     assert code == 0
     found = read_fit(Path("fits") / "synthetic-lf")
     best = sorted(float(run.best[-1]) for run in found.runs)
