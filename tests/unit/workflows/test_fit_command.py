@@ -229,7 +229,7 @@ def test_another_parameter_table_or_accuracy_is_not_continued(cut, monkeypatch, 
     rows = gear.parameters_on("lf").values()
     wider = [replace(row, upper=2 * row.upper) if row.name == "ground_stiffness" else row for row in rows]
     with monkeypatch.context() as patched:
-        patched.setattr(gear, "parameters_on", lambda law: ParameterTable(wider))
+        patched.setattr(gear, "parameters_on", lambda *law: ParameterTable(wider))
         refused("cannot be continued because the parameter table differs", *cut, "--resume")
     monkeypatch.setattr(gear, "fit_tolerance", lambda campaign: 1e-4)
     refused("because the accuracy of a simulation differs (now 0.0001, then 0.0003)", *cut, "--resume")
