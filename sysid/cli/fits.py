@@ -136,10 +136,11 @@ def validate(
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
-    """Predict trials that a fit has not seen; without a campaign each of its own, fitted without.
+    """Predict trials that a fit has not seen.
 
-    Says the NRMSE over the noise, from when on a prediction is off by more, and where the drone stops. The
-    exit code is 3 where a prediction is flagged.
+    Without a campaign every trial of the fit is predicted by a fit of the others. Says the NRMSE over the
+    noise, from when on a prediction is off by more, and where the drone stops. The exit code is 3 where a
+    prediction is flagged.
     """
     from sysid.report.trust_tables import print_validation
     from sysid.workflows.predict import cross_validate, validate_fit
@@ -215,7 +216,7 @@ def explain(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Say what a fit's campaign states wrongly, and which physics its model lacks.
+    """Say what a campaign states wrongly, or a model lacks.
 
     Tries stated values and single trials first. To what they leave it adds each declared term, finds those to
     keep among all together, and judges them on trials left out.
@@ -246,7 +247,7 @@ def report(
 
 @command(app, "show", "sysid show fits/demo/gear-lf")
 def show(fit: Sets, json: Json = False) -> None:
-    """Print the ranked parameter sets of a fit, or the fits of a folder."""
+    """Print the sets of a fit, or the fits of a folder."""
     from sysid.workflows.fits import list_fits, print_fits
     from sysid.workflows.show import print_sets
 
