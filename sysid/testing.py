@@ -31,7 +31,8 @@ def check_kind(campaign: str | Path | Campaign) -> None:
     * Costs between the bounds are finite, and some are those of whole simulations.
     * Every free parameter moves a residual.
     * Equal rows give equal bits, whatever their neighbours, their order and the number of threads.
-    * A simulation that cannot succeed is counted as a failure: every parameter is NaN.
+    * A simulation that cannot succeed is counted as a failure: every parameter is NaN. One that NaN keeps
+      busy ends by the `patience` of its model.
     * A search that is stopped and resumed finds the same bits as one that is not.
 
     Raises
