@@ -409,7 +409,7 @@ class _Preparation:
         # False of an unknown g, NaN.
         if self.touchdown - self.flight.start > _TELLS_GRAVITY and wrong > _GRAVITY_DOUBT:
             self._notice(
-                "contradicts-gravity",
+                "unlikely-gravity",
                 f"the fall shows {measured:.1f} m/s² instead of {gravity:.2f}; check the length unit, "
                 "capture.up, the slope and that nothing brakes the body",
                 wrong,

@@ -61,7 +61,8 @@ def check_campaign(
             seen |= story.about()
             story.tell_stated()
             problem = whole.fitted.exact
-            withheld = bool(journal.misstated)
+            unlikely = (finding.code.startswith("unlikely-") for finding in journal.findings)
+            withheld = bool(journal.misstated) or any(unlikely)
             if withheld or not any_noise(problem):
                 out: dict[str, Any] = {
                     "parameters": [], "limits": {"well": WELL, "weakly": WEAKLY}, "candidates": [],

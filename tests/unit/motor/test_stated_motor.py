@@ -92,7 +92,7 @@ def test_what_was_measured_moves(path):
 
 def test_check_says_whose_error_decides(path):
     heard = []
-    found = check_campaign(unstated(path), say=heard.append)
+    found = check_campaign(unstated(path), say=heard.append, details=True)
     # R goes as k²: its half-width is twice that of a Kv known to 2 %, and little else.
     half_width = next(row.half_width for row in found.parameters if row.name == "winding_resistance")
     assert half_width == pytest.approx(2 * 1.96 * 0.02, rel=0.05)

@@ -130,6 +130,17 @@ def test_what_the_data_leave_open_is_no_reason_to_record_more(lag, ends, opened,
     assert step == f"use the sets: `sysid export fits/lag` writes them. {does}"
 
 
+def test_a_fall_that_is_none_has_no_verdict(drops, run):
+    path = Path(drops) / "campaign.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('gravity = "9.81 m/s²"', 'gravity = "3.1 m/s²"'), encoding="utf-8")
+    code, out, err = run("check", path)
+    assert code == 3, err
+    assert "m/s² instead of 3.10" in err
+    assert "no verdict" in out
+    assert "identifiable" not in out
+
+
 def test_a_check_gives_no_verdict_where_the_logs_contradict_the_campaign(drops, run):
     path = Path(drops) / "campaign.toml"
     text = path.read_text(encoding="utf-8")
