@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 Sets = str | Path | Fit | ParameterSets | RankedSet
 Quantity = str | float
 Trigger = Literal["contact", "imu"]
-# A text such as "0:45:1", or the numbers themselves.
+# A text such as "0:45:1 deg", or the numbers themselves.
 Grid = str | Sequence[float]
 
 
@@ -163,7 +163,7 @@ class LandingMaps(Shown):
 
 @documented(LandingMapOptions)
 def landing_map(
-    gears: Sets | Sequence[Sets], motor: Sets, *, slopes: Grid = "0:45:1", speeds: Grid = "0:2:0.05",
+    gears: Sets | Sequence[Sets], motor: Sets, *, slopes: Grid = "0:45:1deg", speeds: Grid = "0:2:0.05",
     controllers: str | Sequence[str] = ("off", "reverse"), controller_file: str | Path | None = None,
     trigger: Trigger = "contact", pitch: Quantity = 0.0, horizontal_speed: Quantity = 0.0,
     pair: Pairing = "best", ideal_reversal: bool = False, check: bool = True, horizon: Quantity = 3.0,
@@ -180,7 +180,7 @@ def landing_map(
     >>> import sysid
     >>> gear = "data_samples/published/published-gear-lf.json"
     >>> motor = "data_samples/published/published-motor.json"
-    >>> sysid.landing_map(gear, motor, slopes="0:30:15", speeds=[0.3, 0.6], check=False)
+    >>> sysid.landing_map(gear, motor, slopes="0:30:15 deg", speeds=[0.3, 0.6], check=False)
     <LandingMaps: 2 maps of 3 × 2 cells>
     """
     fleets, origin = _fleets(gears, motor, pair, ideal_reversal)
@@ -200,7 +200,7 @@ def landing_map(
 
 @documented(ImpulseMapOptions)
 def impulse_map(
-    gears: Sets | Sequence[Sets], motor: Sets, *, slopes: Grid = "0:45:1", speeds: Grid = "0:2:0.05",
+    gears: Sets | Sequence[Sets], motor: Sets, *, slopes: Grid = "0:45:1deg", speeds: Grid = "0:2:0.05",
     delays: Grid = "0:0.26:0.01", durations: Grid = "0:0.16:0.01", front: float = 0.8,
     rear: float | None = None, idle: float = 0.1, after: float = -1.0, worth: float = 0.05,
     equal: Quantity = 0.0, pair: Pairing = "best", ideal_reversal: bool = False, check: bool = True,
@@ -268,7 +268,8 @@ class DesignTable(Shown):
 @documented(DesignStudyOptions)
 def design_study(
     gear: Sets, motor: Sets, vary: str, *, controller: str = "reverse",
-    controller_file: str | Path | None = None, slopes: Grid = "0:60:1", speeds: Grid = (0.3, 0.6, 0.9, 1.2),
+    controller_file: str | Path | None = None, slopes: Grid = "0:60:1deg",
+    speeds: Grid = (0.3, 0.6, 0.9, 1.2),
     share: float = 0.5, spread: float = 0.0, together: bool = False, pair: Pairing = "best",
     ideal_reversal: bool = False, horizon: Quantity = 3.0, short: Quantity = 0.45, long: Quantity = 1.0,
     rest_speed: Quantity = 0.05, rest_turn: Quantity = 0.2, rest_time: Quantity = 0.2,
@@ -284,7 +285,7 @@ def design_study(
     >>> import sysid
     >>> gear = "data_samples/published/published-gear-lf.json"
     >>> motor = "data_samples/published/published-motor.json"
-    >>> sysid.design_study(gear, motor, "k_t=0.5:2:3", slopes="0:40:20", speeds=[0.6])
+    >>> sysid.design_study(gear, motor, "k_t=0.5:2:3", slopes="0:40:20 deg", speeds=[0.6])
     <DesignTable of published-gear-lf: 3 designs, k_t ×>
     """
     changes = find_changes(vary)

@@ -220,7 +220,9 @@ class StudySettings:
 
     def __post_init__(self) -> None:
         if len(self.slopes_deg) < 2:
-            raise CampaignError(f"slopes {list(self.slopes_deg)} deg; give two or more, for example 0:60:1")
+            raise CampaignError(
+                f"slopes {list(self.slopes_deg)} deg; give two or more, for example 0:60:1deg"
+            )
         if not 0.0 < self.share <= 1.0:
             raise CampaignError(f"share of {self.share:g}; give a number above 0, up to 1")
         if not 0.0 <= self.spread_deg <= 20.0:

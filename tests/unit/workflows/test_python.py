@@ -150,9 +150,9 @@ PRINTED = {"quiet", "json", "out", "figure", "resume", "dask", "experiments"}
 # Python's name of an option.
 RENAMED = {"slopes_deg": "slopes", "spread_deg": "spread", "sets": "gears"}
 SIGNATURES = [
-    (sysid.fit_campaign, options.FitOptions, {"quiet"}),
-    (sysid.fit_gear, options.FitOptions, {"quiet"}),
-    (sysid.fit_motor, options.FitOptions, {"quiet"}),
+    (sysid.fit_campaign, options.FitOptions, {"quiet", "details"}),
+    (sysid.fit_gear, options.FitOptions, {"quiet", "details"}),
+    (sysid.fit_motor, options.FitOptions, {"quiet", "details"}),
     (sysid.Fit.trust, options.TrustOptions, set()),
     (sysid.Fit.report, options.ReportOptions, set()),
     (sysid.cross_validate, options.TrustOptions, {"resamples", "seed"}),
