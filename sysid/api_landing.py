@@ -186,7 +186,7 @@ def landing_map(
     fleets, origin = _fleets(gears, motor, pair, ideal_reversal)
     tilted = python_options(TouchdownOptions, {**locals(), "slope": 0.0, "speed": 0.0}).begin
     settings = python_options(
-        MapSettings, locals(), slopes_deg=_grid(slopes, "slopes"), speeds=_grid(speeds, "speeds"),
+        MapSettings, locals(), slopes_deg=_grid(slopes, "slopes", "deg"), speeds=_grid(speeds, "speeds"),
         pitch=tilted.pitch, horizontal_speed=tilted.horizontal_speed,
     )  # fmt: skip
     chosen = chosen_controllers(
@@ -224,7 +224,7 @@ def impulse_map(
     """
     fleets, origin = _fleets(gears, motor, pair, ideal_reversal)
     settings = python_options(
-        MapSettings, locals(), slopes_deg=_grid(slopes, "slopes"), speeds=_grid(speeds, "speeds")
+        MapSettings, locals(), slopes_deg=_grid(slopes, "slopes", "deg"), speeds=_grid(speeds, "speeds")
     )
     impulses = python_options(
         ImpulseSettings, locals(), delays=_grid(delays, "delays", "s"), ideal_reversal=ideal_reversal,
@@ -291,7 +291,7 @@ def design_study(
     changes = find_changes(vary)
     (fleet,), _ = _fleets([gear], motor, pair, ideal_reversal)
     settings = python_options(
-        StudySettings, locals(), slopes_deg=_grid(slopes, "slopes"), speeds=_grid(speeds, "speeds"),
+        StudySettings, locals(), slopes_deg=_grid(slopes, "slopes", "deg"), speeds=_grid(speeds, "speeds"),
         spread_deg=float(spread),
     )  # fmt: skip
     (chosen,) = chosen_controllers(
@@ -348,9 +348,9 @@ def _several(given: Any, what: str) -> Sequence[Any]:
 
 
 def _grid(given: Grid, name: str, unit: str = "1") -> tuple[float, ...]:
-    """Return increasing numbers: of a text such as ``0:45:1``, or as they are."""
+    """Return increasing numbers: of a text such as ``0:45:1 deg``, or as they are, in the unit."""
     if isinstance(given, list | tuple | np.ndarray):
-        given = ",".join(repr(float(one)) for one in given)
+        given = ",".join(f"{float(one)!r} {unit if unit == 'deg' else ''}" for one in given)
     return span(given, name, unit)  # type: ignore[arg-type]
 
 

@@ -54,7 +54,7 @@ def main() -> int:
     landing = sysid.simulate_landing(gear, motor, "20 deg", "0.5 m/s", controller="reverse")
     motion: pd.DataFrame = drop.to_frame()
     print(motion, landing.outcome.name, landing.events)
-    maps = sysid.landing_map([gear], motor, slopes="0:10:5", speeds=[0.2, 0.4])
+    maps = sysid.landing_map([gear], motor, slopes="0:10:5 deg", speeds=[0.2, 0.4])
     impulses = sysid.impulse_map(sets, motor, threads=1)
     study = sysid.design_study(gear, motor, "leg_length")
     limits: pd.DataFrame = sysid.static_limits(sets, thrust=[0, 12])

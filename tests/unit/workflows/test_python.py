@@ -406,7 +406,7 @@ def test_refusals_are_one_sentence(lag, gear, call, words):
 
 def test_maps_are_tables_and_pictures(tmp_path):
     gears = [PUBLISHED / f"published-gear-{law}.json" for law in ("lf", "hf")]
-    grid = {"slopes": "0:40:20", "speeds": [0.3, 1.5], "check": False}
+    grid = {"slopes": "0:40:20 deg", "speeds": [0.3, 1.5], "check": False}
     maps = sysid.landing_map([sysid.load_parameter_sets(gears[0]), gears[1]], MOTOR_SETS, **grid)
     assert repr(maps) == "<LandingMaps: 4 maps of 3 × 2 cells>"
     frame = maps.to_frame().set_index(["surface", "controller"])
