@@ -25,10 +25,12 @@ def campaign(simulate, changed=lambda content: content, **options):
         "decay_checked", simulate, channels={"level": "V"},
         parameters={"rate": (0.1, 10.0, "1/s"), "start": (0.1, 5.0, "V")}, **options,
     )  # fmt: skip
-    level = decay({"rate": 3.0, "start": 2.0}, TIME, {})
-    level += 0.01 * np.random.default_rng(1).standard_normal(len(TIME))
-    table = pd.DataFrame({"level": level}, index=TIME)
-    return sysid.Model(changed(made.content)).campaign({"a": table, "b": table})
+    noise, level = np.random.default_rng(1), decay({"rate": 3.0, "start": 2.0}, TIME, {})
+    logs = {
+        name: pd.DataFrame({"level": level + 0.01 * noise.standard_normal(len(TIME))}, index=TIME)
+        for name in "ab"
+    }
+    return sysid.Model(changed(made.content)).campaign(logs)
 
 
 class Remembering:
