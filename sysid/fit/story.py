@@ -61,9 +61,8 @@ class Story(Generic[P]):
             tell(f"fitted within their errors as well: {', '.join(own)}", detail=True)
         if typical := [f"{key} {assumed}" for key, assumed in errors.items() if assumed]:
             advice = "state your own, as in '1.24 kg ± 2 g'"
-            tell(
-                f"assumed errors, within which these are fitted: {', '.join(typical)}; {advice}", detail=True
-            )
+            # Also on a short output: it is the one assumption that a user has not made.
+            tell(f"assumed errors, within which these are fitted: {', '.join(typical)}; {advice}")
 
     # --- sysid check ----------------------------------------------------------------------------------------
 
