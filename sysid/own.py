@@ -11,7 +11,7 @@ import ctypes
 import threading
 import time
 import traceback
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -29,7 +29,7 @@ from sysid.filters import shown_noise
 from sysid.fit.kind import Kind, Term, begin
 from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
 from sysid.fit.problem import Problem
-from sysid.fit.trial import Prediction, Trial
+from sysid.fit.trial import Prediction, Trial, name_order
 from sysid.journal import notice
 from sysid.loaders import load
 from sysid.loaders.columns import NamedTable
@@ -111,9 +111,9 @@ class OwnModel:
                     known = ", ".join(self.channels)
                     raise CampaignError(f"{what}: no channel {name!r}; {self.name} has {known}")
         logs = tuple(self._log(campaign, entry, path) for entry in campaign.trials)
-        rows = []
+        rows, drawn = [], sorted((log.name for log in logs), key=name_order)
         for row in self.table.values():
-            rows += [row.of_trial(log.name) for log in logs] if row.name in self.by_trial else [row]
+            rows += [row.of_trial(name) for name in drawn] if row.name in self.by_trial else [row]
         table = ParameterTable(rows)
         held = {log.name for log in logs if log.use != "fit"}
         free = [row.name for row in rows if row.common_name in self.free and row.trial not in held]
@@ -240,9 +240,9 @@ class OwnProblem(Problem):
             for log in self.records
         ])  # fmt: skip
 
-    def only(self, names: Collection[str]) -> OwnProblem:
-        """Return the problem of some of the trials."""
-        return replace(self, records=tuple(log for log in self.records if log.name in names))
+    def only(self, names: Sequence[str]) -> OwnProblem:
+        """Return the problem of some of the trials, in the order of their `names`."""
+        return replace(self, records=tuple(self.records[self.names.index(name)] for name in names))
 
     @cached_property
     def _places(self) -> list[dict[str, int]]:

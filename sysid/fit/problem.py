@@ -8,7 +8,7 @@ campaign in `sysid.fit.kind`. A user's model is one too: `sysid.own`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -29,6 +29,7 @@ from sysid.fit.trial import (
     Scores,
     Trial,
     first_cause,
+    name_order,
 )
 from sysid.journal import notice
 from sysid.parallel import Executor
@@ -73,8 +74,8 @@ class Problem(ABC):
         """Simulate and score rows of the whole parameter table (P, n_table) [SI]; return the signals too."""
 
     @abstractmethod
-    def only(self, names: Collection[str]) -> Self:
-        """Return the problem of some of the trials."""
+    def only(self, names: Sequence[str]) -> Self:
+        """Return the problem of some of the trials, in the order of their `names`."""
 
     # --- what a model may say -------------------------------------------------------------------------------
 
@@ -89,8 +90,8 @@ class Problem(ABC):
 
     @property
     def fitted(self) -> Self:
-        """The problem as the search sees it: the trials of use "fit"."""
-        return self.only([trial.name for trial in self.trials if trial.use == "fit"])
+        """The problem as the search sees it: the trials of use "fit", in the order of `name_order`."""
+        return self.only(sorted((t.name for t in self.trials if t.use == "fit"), key=name_order))
 
     @property
     def exact(self) -> Self:

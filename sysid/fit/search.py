@@ -5,7 +5,8 @@ sysid scores a whole population at once and decides when to end; one generation 
 
 Same objective, settings and version give identical numbers: run ``i`` draws from the ``i``-th child of the
 seed (`numpy.random.SeedSequence`), so it is reproducible without the runs before it, and every stage of it
-from a child of that. The order and the interleaving of runs change nothing.
+from a child of that. The order and the interleaving of runs change nothing, nor does the order in which a
+campaign names its trials (`sysid.fit.trial.name_order`).
 """
 
 from __future__ import annotations

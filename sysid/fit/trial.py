@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +17,15 @@ from sysid.types import BoolArray, FloatArray, IntArray
 UNNAMED_CAUSE = ("simulation failed",)
 
 Failed = BoolArray | NDArray[np.int8]
+
+
+def name_order(name: str) -> tuple[str, str]:
+    """Return the key by which fitted trials are sorted: drop-2 before drop-10.
+
+    A search is chaotic: the last bit of a sum over trials may decide where it ends. So the order in which a
+    campaign names its trials must not count. Results are in the campaign's order all the same.
+    """
+    return re.sub(r"[0-9]+", lambda number: number[0].zfill(9), name), name
 
 
 @dataclass(frozen=True)

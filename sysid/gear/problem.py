@@ -9,7 +9,7 @@ that just reaches the board's end pays nothing.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from typing import Any
@@ -205,9 +205,10 @@ class GearProblem(Problem):
             tuple(drop.simulated_time for drop in self.drops),
         )
 
-    def only(self, names: Collection[str]) -> GearProblem:
-        """Return the problem of some of the drops."""
-        return replace(self, drops=tuple(drop for drop in self.drops if drop.name in names))
+    def only(self, names: Sequence[str]) -> GearProblem:
+        """Return the problem of some of the drops, in the order of their `names`."""
+        drops = {drop.name: drop for drop in self.drops}
+        return replace(self, drops=tuple(drops[name] for name in names))
 
     @property
     def exact(self) -> GearProblem:

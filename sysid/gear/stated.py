@@ -16,6 +16,7 @@ import numpy as np
 
 from sysid.campaign import GearCampaign
 from sysid.campaign.gear import Point
+from sysid.fit.trial import name_order
 from sysid.gear.drops import PreparedDrop
 from sysid.gear.parameters import CAPTURED
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
@@ -64,6 +65,7 @@ def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
 def _of_the_capture(campaign: GearCampaign) -> Iterator[tuple[Parameter, Stated]]:
     """Yield the rows of slopes, releases, centre of mass and surface, and what is stated of each [SI]."""
     fitted = [trial for trial in campaign.trials if trial.use == "fit"]
+    fitted.sort(key=lambda trial: name_order(trial.name))
     for trial in fitted:
         if trial.slope is not None:
             yield (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.errors import CampaignError
+from sysid.fit.trial import name_order
 from sysid.journal import notice
 from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, check_options, torque_per_current
 from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_curves
@@ -63,8 +64,8 @@ class Bench:
 
     @property
     def fitted(self) -> tuple[PreparedTrial, ...]:
-        """Trials of the dynamic fit: use "fit", and no reversal."""
-        return tuple(trial for trial in self.trials if in_search(trial.entry))
+        """Trials of the dynamic fit: use "fit", and no reversal; in the order of `name_order`."""
+        return _in_order(trial for trial in self.trials if in_search(trial.entry))
 
     @property
     def laws(self) -> dict[Rotation, NoLoadTie]:
@@ -103,8 +104,12 @@ class Bench:
     @property
     def banded(self) -> tuple[PreparedTrial, ...]:
         """Trials that show the dead band: reversals of use "fit", or else fitted starts from rest."""
-        reversals = [t for t in self.trials if t.entry.use == "fit" and t.entry.direction == "reversal"]
-        return tuple(reversals) or tuple(t for t in self.fitted if t.shows_start)
+        reversals = (t for t in self.trials if t.entry.use == "fit" and t.entry.direction == "reversal")
+        return _in_order(reversals) or tuple(t for t in self.fitted if t.shows_start)
+
+
+def _in_order(trials: Iterable[PreparedTrial]) -> tuple[PreparedTrial, ...]:
+    return tuple(sorted(trials, key=lambda trial: name_order(trial.entry.name)))
 
 
 def in_search(entry: MotorTrial) -> bool:
@@ -120,6 +125,7 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     check_options(campaign, path)
     logs = [bench_log(campaign, path, entry) for entry in campaign.trials]
     fitted = [log for log, entry in zip(logs, campaign.trials, strict=True) if in_search(entry)]
+    fitted.sort(key=lambda log: name_order(log.name))
     if not fitted:
         raise CampaignError(
             "no forward or reverse trial has use = 'fit'; reversals alone cannot serve, because the dead "

@@ -125,9 +125,9 @@ class MotorProblem(Problem):
         """What the kernel simulates."""
         return SimulatedTrials([trial.simulated for trial in self.prepared])
 
-    def only(self, names: Collection[str]) -> MotorProblem:
-        """Return the problem of some of the trials."""
-        chosen = [t for t, trial in enumerate(self.prepared) if trial.entry.name in names]
+    def only(self, names: Sequence[str]) -> MotorProblem:
+        """Return the problem of some of the trials, in the order of their `names`."""
+        chosen = [self.names.index(name) for name in names]
         return replace(
             self,
             prepared=tuple(self.prepared[t] for t in chosen),

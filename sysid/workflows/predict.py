@@ -253,14 +253,15 @@ def cross_validate(
             journal.tell(f"{len(problem.trials)} fits, each without one trial")
             refits = leave_one_out(spread, linear)
         space, names = problem.space, [record.name for record in result.parameters]
-        decoded = space.decode(refits.points)
+        trials = [name for name in opened.whole.names if name in problem.names]
+        decoded = space.decode(refits.points[[problem.names.index(name) for name in trials]])
         for i, row in enumerate(space.free):
             # No fit without a trial knows more of the trial than what is stated.
             if row.trial and row.name in space.stated:
-                decoded[problem.names.index(row.trial), i] = space.stated[row.name]
+                decoded[trials.index(row.trial), i] = space.stated[row.name]
         values = np.repeat(result.values[:1], len(decoded), axis=0)
         values[:, [names.index(name) for name in space.names]] = decoded
-        predicted = predict(result, opened.kind, opened.whole.only(problem.names), values)
+        predicted = predict(result, opened.kind, opened.whole.only(trials), values)
         floor = predicted.story.floor(space.full(linear.point[None])[0])
         judged = [predicted.judge(t, slice(t, t + 1), floor) for t in range(len(problem.trials))]
         document = CrossValidationDocument(

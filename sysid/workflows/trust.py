@@ -139,7 +139,9 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
                 without=dict(zip(space.names, without[t].tolist(), strict=True)),
                 shift=dict(zip(space.names, trials.shift[t].tolist(), strict=True)),
             )
-            for t, name in enumerate(problem.names)
+            for name in opened.whole.names
+            if name in problem.names
+            for t in [problem.names.index(name)]
         ],
         notes=_notes(len(problem.trials), boot, given),
         spread=_spread(opened.result),
