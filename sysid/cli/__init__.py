@@ -14,8 +14,6 @@ import tempfile
 import traceback
 from contextlib import suppress
 
-import typer
-
 from sysid.cli.root import CLOSED_PIPE, app, say
 from sysid.errors import SysidError, printable
 from sysid.journal import heard_warnings
@@ -66,7 +64,7 @@ def main() -> None:
         code, refusal = (CLOSED_PIPE, "") if closed else (2, _unwritten(error))
     if refusal:
         with suppress(OSError):
-            typer.echo(f"error: {printable(' '.join(refusal.split()))}", err=True)
+            say(f"error: {' '.join(refusal.split())}")
     sys.exit(code)
 
 

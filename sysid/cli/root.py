@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -92,7 +95,10 @@ def _options(
 
 def say(sentence: str) -> None:
     """Print a sentence on standard error, where it does not mix with results."""
-    typer.echo(printable(sentence), err=True)
+    text = printable(sentence)
+    if sys.stderr.isatty():
+        text = textwrap.fill(text, shutil.get_terminal_size().columns, break_on_hyphens=False)
+    typer.echo(text, err=True)
 
 
 def unless(silent: bool) -> Callable[[str], None] | None:

@@ -88,7 +88,7 @@ class LiveBlock:
         elif _NOTEBOOK:
             print(f"\r{line:<{_WIDTH}}", file=sys.stderr, flush=True)
         else:
-            self._console.print(Text(line), soft_wrap=True)
+            self._console.print(Text(line), soft_wrap=not self._console.is_terminal)
 
 
 class FitProgress(LiveBlock):

@@ -15,7 +15,7 @@ from sysid.documents import channel_symbol, rounded
 from sysid.fit.result import FitResult
 from sysid.parameter_sets import ParameterSets
 from sysid.report.answer import answer_box
-from sysid.report.drawing import RUNS, as_math, panel, percent_text, unit_of
+from sysid.report.drawing import RUNS, as_math, as_words, panel, percent_text, unit_of
 from sysid.report.html import (
     NOTHING,
     Html,
@@ -189,9 +189,9 @@ def _intervals_figure(document: Comparison, fits: Sequence[ComparedFit]) -> Figu
     axes.axvline(0.0, color="0.6", linewidth=0.8)
     axes.set_xlim(-1.1 * reach, 1.1 * reach)
     axes.set_yticks(-np.arange(len(names)), [as_math(known[0][name].symbol) for name in names])
-    axes.set_xlabel(f"off the value of {document.fits[0]} [%] (dotted: open)")
+    axes.set_xlabel(f"off the value of {as_words(document.fits[0])} [%] (dotted: open)")
     for k, fit in enumerate(fits):
-        axes.plot([], [], "o-", color=RUNS[k % len(RUNS)], label=fit.sets.name, markersize=4)
+        axes.plot([], [], "o-", color=RUNS[k % len(RUNS)], label=as_words(fit.sets.name), markersize=4)
     figure.legend(fontsize=8, frameon=False, loc="outside upper center", ncols=min(len(fits), 3))
     axes.grid(True, axis="x", color="0.92")
     return figure

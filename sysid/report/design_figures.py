@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from sysid.landing.design_study import DesignStudy
-from sysid.report.drawing import BEST, WIDTH, panels
+from sysid.report.drawing import BEST, WIDTH, as_words, panels
 from sysid.types import FloatArray
 
 _COLOURS = ("#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
@@ -143,4 +143,4 @@ def _apart(values: FloatArray, neutral: float) -> list[float]:
 
 def _title(study: DesignStudy) -> str:
     need = f"at least {100 * study.settings.share:.0f} % of the sets within {study.settings.rules.long:g} m"
-    return f"{study.name}, {study.controller}: slopes landed on ({need})"
+    return f"{as_words(study.name)}, {study.controller}: slopes landed on ({need})"

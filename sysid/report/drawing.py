@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -96,9 +98,9 @@ def draw_legend(figure: Figure, entries: Iterable[Entry], place: Any, ncols: int
     from matplotlib.patches import Patch
 
     handles = [
-        Patch(color=colour, label=words)
+        Patch(color=colour, label=as_words(words))
         if kind == "area"
-        else Line2D([], [], color=colour, label=words, **LOOKS[kind])
+        else Line2D([], [], color=colour, label=as_words(words), **LOOKS[kind])
         for colour, kind, words in entries
     ]
     figure.legend(handles=handles, loc=place, ncols=ncols, frameon=False, **look)
@@ -148,9 +150,22 @@ def thinned(time: FloatArray, values: FloatArray, points: int = _POINTS) -> tupl
     return time[kept], values[kept]
 
 
+def as_words(words: str) -> str:
+    """Return words in which matplotlib sees no formula, as names may hold dollars."""
+    return words.replace("$", r"\$")
+
+
+@contextmanager
+def without_glyph_warnings() -> Iterator[None]:
+    """Draw boxes for letters that the font lacks; matplotlib would warn of each in every picture."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        yield
+
+
 def as_math(symbol: str) -> str:
     """Return a symbol of the tables, as ``k_h``, for a figure, its indices set lower."""
-    return _INDEXED.sub(r"$\1_{\2}$", symbol)
+    return _INDEXED.sub(r"$\1_{\2}$", as_words(symbol))
 
 
 def axis_label(name: str, unit: str) -> str:
@@ -188,7 +203,7 @@ def figure_bytes(figure: Figure, kind: str, dpi: float = 150.0) -> bytes:
     buffer = io.BytesIO()
     # A date or random names would make the bytes of equal figures differ.
     metadata = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
-    with rc_context({"svg.hashsalt": "sysid"}):
+    with rc_context({"svg.hashsalt": "sysid"}), without_glyph_warnings():
         figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
 

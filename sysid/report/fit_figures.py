@@ -27,6 +27,7 @@ from sysid.report.drawing import (
     WIDTH,
     Style,
     as_math,
+    as_words,
     axis_label,
     panel,
     paper,
@@ -141,7 +142,7 @@ def figure_convergence(fit: FitResult, *, wide: bool = False) -> Figure:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel="generation", ylabel="best NRMSE [%]")
     if wide:
-        axes.set_title(f"{fit.name}: convergence of {len(fit.runs)} runs ({fit.kind})")
+        axes.set_title(f"{as_words(fit.name)}: convergence of {len(fit.runs)} runs ({fit.kind})")
         look = {"title": "best NRMSE, generations", "alignment": "left"}
         figure.legend(loc="outside right upper", frameon=False, **look)
     elif len(fit.runs) <= 10:

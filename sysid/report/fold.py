@@ -30,9 +30,16 @@ def print_result(document: object, json: bool) -> bool:
     return json
 
 
+def console_of_lines() -> Console:
+    """Return a console that breaks lines between words where it is a terminal, and elsewhere not at all."""
+    console = Console()
+    console.soft_wrap = not console.is_terminal
+    return console
+
+
 def print_lines(lines: Iterable[str], style: str = "") -> None:
-    """Print plain sentences; the terminal breaks them."""
-    console = Console(soft_wrap=True)
+    """Print plain sentences."""
+    console = console_of_lines()
     for line in lines:
         console.print(Text(printable(line), style=style))
 

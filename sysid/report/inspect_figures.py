@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from sysid.recording import COMPONENTS, Channel, Recording
-from sysid.report.drawing import BEST, MEASURED, RUNS, paper
+from sysid.report.drawing import BEST, MEASURED, RUNS, as_words, paper
 from sysid.trials.look import LogReport
 
 # Channels that tell most about a bench log, most telling first.
@@ -62,7 +62,7 @@ def _draw(axes: Axes, channel: Channel, points: bool, change: bool = False) -> N
     # A pure number, such as a part of a quaternion, has the unit 1.
     unit = f" [{channel.unit or '1'}]"
     name = channel.name.replace("/", "\n") + (" change" if change else "")
-    axes.set_ylabel(name + unit, fontsize="small")
+    axes.set_ylabel(as_words(name + unit), fontsize="small")
     axes.grid(True, color="0.9")
 
 
@@ -90,7 +90,7 @@ def figure_logs(recordings: Sequence[Recording], reports: Sequence[LogReport]) -
             if place == 0:
                 name = Path(report.path).name
                 short = name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
-                axes.set_title(f"{short} ({report.kind})", fontsize="medium", loc="left")
+                axes.set_title(as_words(f"{short} ({report.kind})"), fontsize="medium", loc="left")
             if report.drop is not None and falls:
                 for word, at in (("release", report.drop.release), ("touchdown", report.drop.touchdown)):
                     if at is not None:

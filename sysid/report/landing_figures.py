@@ -19,7 +19,7 @@ from sysid.landing.maps import LandingMap, cell_edges
 from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.landing.real_landings import Experiment, of_map
 from sysid.landing.store import MapFile
-from sysid.report.drawing import BEST, OTHERS, WIDTH, Style, paper
+from sysid.report.drawing import BEST, OTHERS, WIDTH, Style, as_words, paper
 from sysid.types import FloatArray
 
 # Colours of the classes, by Okabe and Ito as in all figures; class B is white as in the paper.
@@ -183,7 +183,7 @@ def figure_landing_maps(
         limit = limits.get((chart.surface, chart.controller))
         taken = _draw_letters(axes, chart, list(limit.slopes.values()) if limit else [])
         beyond = _draw_limits(axes, limit) if limit is not None else ""
-        axes.set_title(chart.title + (f"\n{beyond}" if beyond else ""), fontsize=10)
+        axes.set_title(as_words(chart.title) + (f"\n{beyond}" if beyond else ""), fontsize=10)
         real = of_map(experiments, chart)
         if real:
             taken += list(_relative(axes, np.array([(e.speed, e.slope_deg) for e in real])))

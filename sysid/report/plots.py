@@ -32,6 +32,7 @@ from sysid.report.drawing import (
     OTHERS,
     RUNS,
     as_math,
+    as_words,
     axis_label,
     draw_grid,
     draw_legend,
@@ -235,11 +236,11 @@ def figure_of(views: Sequence[View], title: str = "", *, across: bool = False) -
         if len(views) > 1 and view.panels:
             top = figure.axes[-len(view.panels)]
             top.annotate(
-                textwrap.fill(view.title, 45), (0.5, 1), (0, 16), xycoords="axes fraction", ha="center",
-                textcoords="offset points", fontsize=9,
+                as_words(textwrap.fill(view.title, 45)), (0.5, 1), (0, 16), xycoords="axes fraction",
+                textcoords="offset points", ha="center", fontsize=9,
             )  # fmt: skip
     if not across:
-        figure.suptitle(title or views[0].title, y=1 - 0.12 / height, va="top", fontsize=11)
+        figure.suptitle(as_words(title or views[0].title), y=1 - 0.12 / height, va="top", fontsize=11)
         draw_legend(figure, entries, "lower center", beside, fontsize=8)
     return figure
 

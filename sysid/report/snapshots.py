@@ -12,7 +12,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from sysid.errors import ExportError
-from sysid.report.drawing import WIDTH, arrow, directions, draw_legend, draw_line, panels
+from sysid.report.drawing import (
+    WIDTH,
+    arrow,
+    as_words,
+    directions,
+    draw_legend,
+    draw_line,
+    panels,
+    without_glyph_warnings,
+)
 from sysid.report.drop_replay import DroneShape, DropReplay, drone_of, placed
 from sysid.types import FloatArray
 
@@ -127,8 +136,8 @@ def film_bytes(drop: DropReplay, kind: str) -> bytes:
         axes.set_xlim(low[0], high[0], auto=True)
         axes.set_ylim(low[1], high[1])
         figure.suptitle(
-            f"{drop.name}, {np.degrees(drop.slope):.0f}°, {1e3 * time:4.0f} ms, {SLOW:g} × slow motion\n"
-            "normal force blue, friction red, measured grey",
+            f"{as_words(drop.name)}, {np.degrees(drop.slope):.0f}°, {1e3 * time:4.0f} ms, "
+            f"{SLOW:g} × slow motion\nnormal force blue, friction red, measured grey",
             fontsize=10, y=0.98,
         )  # fmt: skip
         return []
@@ -138,5 +147,6 @@ def film_bytes(drop: DropReplay, kind: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / f"film.{kind}"
         writer = PillowWriter if kind == "gif" else FFMpegWriter
-        film.save(made, writer=writer(fps=FILM_RATE))
+        with without_glyph_warnings():
+            film.save(made, writer=writer(fps=FILM_RATE))
         return made.read_bytes()

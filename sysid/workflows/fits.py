@@ -9,7 +9,7 @@ from pathlib import Path
 from sysid.errors import FitError
 from sysid.fit.checkpoint import Checkpoint, glance
 from sysid.fit.store import FIT_FILE
-from sysid.report.fold import print_result, print_table
+from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.table import listed
 from sysid.resume import in_use
 from sysid.storage import numbered
@@ -73,7 +73,7 @@ def print_fits(folder: Path, json: bool = False) -> None:
     if print_result([asdict(entry) for entry in entries], json):
         return
     if not entries:
-        print(f"no fits in {folder}; sysid fit-motor and sysid fit-gear write there")
+        print_lines([f"no fits in {folder}; sysid fit-motor and sysid fit-gear write there"])
         return
     now = time.time()
     rows = [
@@ -85,9 +85,9 @@ def print_fits(folder: Path, json: bool = False) -> None:
     ]  # fmt: skip
     print_table(listed("", rows, ("fit", "state", "NRMSE", "runs", "age"), texts=2))
     if any(entry.state == "stopped" for entry in entries):
-        print("a stopped fit goes on with its command and --resume")
+        print_lines(["a stopped fit goes on with its command and --resume"])
     if any(entry.state == "cut" for entry in entries):
-        print("runs of a cut fit ended by their budget; fit again with a larger one")
+        print_lines(["runs of a cut fit ended by their budget; fit again with a larger one"])
 
 
 def _age(seconds: float) -> str:

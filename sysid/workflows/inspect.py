@@ -22,7 +22,7 @@ from sysid.loaders.alignment import join_recordings
 from sysid.loaders.guess import Missing, missing
 from sysid.loaders.readers.sysid_hdf5 import write_recording
 from sysid.recording import Recording
-from sysid.report.fold import print_result, print_table
+from sysid.report.fold import console_of_lines, print_result, print_table
 from sysid.report.table import NONE, listed, number, numbers, table, words
 from sysid.storage import check_file
 from sysid.trials.look import BenchReport, DropReport, LogReport, inspect_recording
@@ -95,7 +95,7 @@ def inspect_files(
         if len(rows) > 1 or reports:
             print(json.dumps(rows, ensure_ascii=False, indent=2))
     else:
-        console = Console(soft_wrap=True)
+        console = console_of_lines()
         short = len(results) > _FEW and not details
         if short:
             _print_rows(console, reports)
@@ -195,7 +195,7 @@ def _print_missing(
     command += [part for name, value in stated.items() for part in ("-o", f"{name} = {toml_value(value)}")]
     what = "what is missing" if refused else "columns that are not read, with the others"
     console.print(Text(f"  {what}, as guessed; check it, and replace each TODO:", style="bold"))
-    console.print(Text(f"    {shlex.join(command)}"))
+    console.print(Text(f"    {shlex.join(command)}"), soft_wrap=True)
     if lacking.fault:
         console.print(Text(f"  even then: {lacking.fault}"))
 

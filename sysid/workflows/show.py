@@ -51,12 +51,12 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
     state = "" if result.state == "done" else " (stopped early: the sets are the best until then)"
     agreed = result.agreement
     so_far = f" (with {agreed.finished} of {agreed.asked} runs finished)" if agreed.unfinished else ""
-    print(f"verdict{so_far}: {verdict_on(result)}")
+    print_lines([f"verdict{so_far}: {verdict_on(result)}"])
     if details:
         _print_tables(sets)
     else:
         print_table(answer_table(sets))
-    print(f"fit written to {folder}{state}; next:")
+    print_lines([f"fit written to {folder}{state}; next:"])
     place = result.provenance.get("campaign", {}).get("from_fit_folder")
     campaign = os.path.normpath(folder / place) if place else "CAMPAIGN"
     search = result.provenance.get("search", {})
@@ -82,7 +82,7 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
         (f"report {folder}", "one page with every trial, to open in a browser"),
         *(mend if result.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY else use),
     ):
-        print(f"  sysid {command:<40}  {what}")
+        print_lines([f"  sysid {command:<40}  {what}"])
 
 
 def verdict_on(result: FitResult) -> str:

@@ -10,7 +10,7 @@ VISIBLE = (
     "+1+1",
     "\"><img src=x onerror=document.title='owned'>'",
     "</script></details><!-- --> ]]> <![CDATA[ --->",
-    "$\\frac{1",
+    "$\\frac{1$ 落",
     "[red]x[/red] `x` **x** \\n",
     "javascript:document.title='owned'",
 )

@@ -42,7 +42,7 @@ def test_json_of_the_commands_that_list_and_write(tmp_path, run):
 
 def test_what_report_refuses(tmp_path, refused):
     fit = write_fit(made_fit(), tmp_path / "fit")
-    refused("no fit.h5", "report", tmp_path / "nothing")
+    refused("is not there", "report", tmp_path / "nothing")
     there = tmp_path / "there.html"
     there.write_text("mine", encoding="utf-8")
     refused(("exists already", "--force"), "report", fit, "--out", there)

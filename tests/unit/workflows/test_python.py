@@ -374,7 +374,7 @@ def test_clocks_of_their_own_are_joined(write):
         (lambda fit, gear: fit.trial("drop-9"), "no trial 'drop-9'; found step-0"),
         (lambda fit, gear: fit.report(), "no folder was kept; name the page"),
         (lambda fit, gear: fit.sets["gian"], "no parameter 'gian'; nearest is 'gain'"),
-        (lambda fit, gear: sysid.load_fit("none"), "none: no fit.h5 there"),
+        (lambda fit, gear: sysid.load_fit("none"), "none: is not there"),
         (lambda fit, gear: sysid.load_log("none.csv"), "none.csv: no such file"),
         (lambda fit, gear: sysid.fit_gear("none.toml"), "none.toml: no such campaign file"),
         (lambda fit, gear: sysid.fit_motor(SAMPLES / "gear-lf"), "is a gear campaign, expected motor"),
