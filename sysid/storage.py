@@ -328,10 +328,12 @@ def schema_of(path: Path, error_type: type[SysidError] = SysidError) -> str:
 def put(group: h5py.Group, name: str, values: ArrayLike, axes: str, unit: str = "1") -> None:
     """Write an array of numbers with the names of its axes and its unit.
 
-    A long one is compressed, and has checksums, so that reading a flipped bit fails.
+    It has checksums, so that reading a flipped bit fails; a long one is compressed.
     """
     data = np.asarray(values)
-    packed = {"compression": "gzip", "shuffle": True, "fletcher32": True} if data.size > 64 else {}
+    packed: dict[str, Any] = {"fletcher32": True} if data.ndim and data.size else {}
+    if data.size > 64:
+        packed |= {"compression": "gzip", "shuffle": True}
     dataset = group.create_dataset(name, data=data, **packed)
     dataset.attrs["axes"], dataset.attrs["unit"] = axes, unit
 

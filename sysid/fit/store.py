@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import shlex
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.provenance import FitDocument
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import run_record, summary
-from sysid.parameter_sets import ParameterSets, SetsDocument, SetsMetadata, content_of
+from sysid.parameter_sets import INTERVALS, ParameterSets, SetsDocument, SetsMetadata, content_of
 from sysid.storage import (
     FileKind,
     check_folder,
@@ -153,9 +154,9 @@ def read_fit(path: str | Path) -> FitResult:
             "sysid fit-motor or fit-gear wrote"
         )
     if not file_path.is_file():
-        absent = FitError(
-            f"{path}: no fit.h5 there; expected a folder that sysid fit-motor or fit-gear wrote{_meant(path)}"
-        )
+        lacks = "no fit.h5 there" if path.is_dir() else "is not there"
+        wanted = "expected a folder that sysid fit-motor or fit-gear wrote"
+        absent = FitError(f"{path}: {lacks}; {wanted}{_meant(path)}")
         raise absent.also(FileNotFoundError)
     with FIT_FILE.opened(file_path) as file:
         group = file["sets"]
@@ -188,7 +189,12 @@ def _check_copy(path: Path, sets: ParameterSets) -> None:
         copy = ParameterSets.from_document(document)
     except (FitError, OSError, ValueError, KeyError) as error:
         raise FitError(f"{str(error).removesuffix('; ' + SetsDocument.REMEDY)}; {remedy}") from error
-    for what in ("kind", "name", "names", "runs", "seeds", "trials", "channels"):
+    # Intervals are those of the assessment, in trust.json.
+    copy, sets = (replace(each, settings={**each.settings, INTERVALS: {}}) for each in (copy, sets))
+    for what in (
+        "kind", "name", "names", "runs", "seeds", "trials", "uses", "channels", "parameters", "settings",
+        "provenance",
+    ):  # fmt: skip
         if getattr(copy, what) != getattr(sets, what):
             raise FitError(f"{path}: states other {what} than fit.h5 beside it; {remedy}")
     for what in ("values", "nrmse", "nrmse_by_trial", "at_bound"):

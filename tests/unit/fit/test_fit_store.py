@@ -84,10 +84,27 @@ def test_a_copy_that_states_other_sets_is_refused_wherever_the_fit_is_opened(tmp
     assert sysid.load_parameter_sets(path) == full_fit().parameter_sets()
 
 
-def test_a_flipped_bit_in_a_long_array_is_seen(tmp_path):
+@pytest.mark.parametrize(
+    ("what", "change"),
+    [
+        ("parameters", lambda d: d["parameters"][0].update(unit="furlong")),
+        ("settings", lambda d: d["settings"].update(whim=1)),
+        ("provenance", lambda d: d["provenance"].update(numpy="0.1")),
+        ("uses", lambda d: d["trials"][0].update(use="validate")),
+    ],
+)
+def test_a_copy_that_states_another_record_is_refused(tmp_path, what, change):
+    path = write_fit(full_fit(), tmp_path / "bench")
+    changed(path / "fit.json", change)
+    with pytest.raises(FitError, match=f"fit.json: states other {what} than fit.h5 beside it; restore"):
+        read_fit(path)
+
+
+@pytest.mark.parametrize("name", ["trials/1/simulated", "sets/values", "sets/nrmse", "runs/1/stages/1/cost"])
+def test_a_flipped_bit_in_an_array_is_seen(tmp_path, name):
     path = write_fit(full_fit(), tmp_path / "bench") / "fit.h5"
     with h5py.File(path) as file:
-        chunk = file["trials/1/simulated"].id.get_chunk_info(0)
+        chunk = file[name].id.get_chunk_info(0)
     data = bytearray(path.read_bytes())
     # Deflate has a checksum of its own at its end, HDF5's follows it.
     data[chunk.byte_offset + chunk.size - 1] ^= 1
@@ -223,7 +240,7 @@ def test_a_kill_while_writing_leaves_the_old_fit(tmp_path):
 def test_damaged_fits_are_refused(tmp_path):
     path = write_fit(full_fit(), tmp_path / "bench")
     whole = (path / "fit.h5").read_bytes()
-    with pytest.raises(FitError, match=r"no fit.h5"):
+    with pytest.raises(FitError, match=r"is not there"):
         read_fit(tmp_path / "nowhere")
     for cut in (0, 7, 100, len(whole) // 2, len(whole) - 1):
         (path / "fit.h5").write_bytes(whole[:cut])
@@ -288,7 +305,8 @@ def _replaced_by(make):
         ),
         (
             _replaced_by(lambda f: f["sets"].create_virtual_dataset("nrmse", h5py.VirtualLayout((5,), "f8"))),
-            "lies in another place",
+            # Older h5py writes an empty array instead.
+            "(lies in another place|claims more values than the file has bytes for)",
         ),
         (
             _replaced_by(lambda f: f["sets"].create_dataset("nrmse", (10**12,), "f8", chunks=(1000,))),
