@@ -3,6 +3,7 @@
 A log is bytes; a damage takes a `Log` and a random generator and returns bytes.
 """
 
+import re
 from collections.abc import Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -343,7 +344,7 @@ def other_unit(log, random):
 
 
 def other_number(log, random):
-    """One cell of a row becomes blank, a word, an infinite or a huge number, or one of its digits another."""
+    """One cell of a row becomes blank, a word, an infinite or a huge number."""
     lines = _text(log).split("\n")
     new = ["", " ", "nan", "inf", "-Infinity", "1e400", "1e308", "0x10", "1_000", "--5", "N/A", "1.5.2", "٣"]
     with _cells(log, lines, _number(random, log.first, len(lines) - 1)) as cells:
@@ -352,8 +353,36 @@ def other_number(log, random):
     return "\n".join(lines).encode("utf-8")
 
 
+def _digits(log, random):
+    """Return begin and end of a number anywhere in a log."""
+    places = [match.span() for match in re.finditer(rb"[0-9]+", log.data)]
+    return places[_number(random, 0, len(places))]
+
+
+def other_digit(log, random):
+    """One digit becomes another."""
+    begin, end = _digits(log, random)
+    at = _number(random, begin, end)
+    return log.data[:at] + b"%d" % _number(random, 0, 10) + log.data[at + 1 :]
+
+
+def many_digits(log, random):
+    """One number gets 5,000 digits, more than Python turns into an integer."""
+    begin, end = _digits(log, random)
+    return log.data[:begin] + b"9" * 5000 + log.data[end:]
+
+
+def nesting(log, random):
+    """One number becomes brackets or quotes inside each other, closed or not."""
+    begin, end = _digits(log, random)
+    left, right = [(b"[", b"]"), (b"(", b")"), (b"{", b"}"), (b'"', b'"'), (b"<", b">")][
+        _number(random, 0, 5)
+    ]
+    return log.data[:begin] + left * 2000 + right * _number(random, 0, 2) * 2000 + log.data[end:]
+
+
 DAMAGES = (
     cut, flip, splash, drop_column, shuffle_rows, drop_or_double_lines, second_header, no_rows, nul, utf16,
     other_delimiter, doubled_delimiter, ragged_rows, swapped_names, other_unit, other_number,
-    lost_cell, exchanged_header_rows,
+    lost_cell, exchanged_header_rows, other_digit, many_digits, nesting,
 )  # fmt: skip

@@ -16,7 +16,7 @@ from fakes.log_binary import DAMAGES as BINARY_DAMAGES
 from fakes.log_samples import DAMAGES, LOGS, gigantic_field
 from fakes.log_worker import BAD, Worker
 
-QUICK, MANY = 20, 300
+QUICK, MANY = 22, 300
 # Many damages of a log that a child process reads: each starts one, half a second.
 MANY_FOREIGN = 60
 # Cases that once ended in a traceback, a crash, a hang, too much memory, or in no short sentence.
@@ -28,7 +28,7 @@ FAILED = {
 _HEADER_SAYS = "the header, which the damage may have reached, says so"
 # Damages that reach the header. After any other a sample that differs without a note is a fault.
 _HEADER_DAMAGES = ("flip", "splash", "drop_column", "swapped_names", "other_unit", "gigantic_field",
-                   "exchanged_header_rows")  # fmt: skip
+                   "exchanged_header_rows", "other_digit", "many_digits", "nesting")  # fmt: skip
 _WHOLE_LINES = "whole lines are gone from a log that counts none; `inspect` shows the hole that they leave"
 # Logs whose rows have no times: the clock counts the rows that are there.
 _WITHOUT_TIMES = {"ati-text": {"values": "a row that is gone or doubled moves all rows after it"}}

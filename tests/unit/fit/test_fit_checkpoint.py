@@ -1,5 +1,6 @@
 """Checkpoints: finished stages continued to the same bits, refused when anything differs, one owner."""
 
+import json
 import os
 import random
 import signal
@@ -148,11 +149,18 @@ FORGED = {
         _with(columns, '"algorithm"', '"whim": 1, "algorithm"'),
     ),
     "no fields": lambda columns: (*columns[:6], np.array("[]")),
+    "costs below nothing": lambda columns: (columns[0], np.full_like(columns[1], -1.0), *columns[2:]),
+    "time that ran back": lambda columns: (*columns[:6], _stating(columns, wall_time=-1e9)),
+    "fewer simulations than none": lambda columns: (*columns[:6], _stating(columns, simulations=-5)),
 }
 
 
 def _with(columns, old, new):
     return np.array(str(columns[6]).replace(old, new))
+
+
+def _stating(columns, **fields):
+    return np.array(json.dumps({**json.loads(str(columns[6])), **fields}))
 
 
 @pytest.mark.parametrize("forged", FORGED)
