@@ -64,7 +64,7 @@ def row_lines(count, row):
 
 def small_turns(random, count):
     """Return rotations that differ from the one before by less than half a turn."""
-    turns = [Rotation.random(rng=random)]
+    turns = [Rotation.random(None, random)]
     for step in random.uniform(-0.5, 0.5, (count - 1, 3)):
         turns.append(turns[-1] * Rotation.from_rotvec(step))
     return turns

@@ -309,7 +309,7 @@ def test_kabsch_never_mirrors():
     # A flat body seen with noise fits its mirror image as well: the fit must stay a rotation.
     random = np.random.default_rng(6)
     shape = np.array([[0.1, 0, 0], [0, 0.1, 0], [-0.1, 0, 0], [0, -0.1, 0]])
-    turns = Rotation.random(200, rng=random)
+    turns = Rotation.random(200, random)
     points = np.einsum("nij,kj->nki", turns.as_matrix(), shape) + random.normal(size=(200, 4, 3)) * 1e-3
     rotation, _, residual = fit_rotations(shape, points)
     np.testing.assert_allclose(np.linalg.det(rotation), 1, atol=1e-12)
