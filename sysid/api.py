@@ -165,6 +165,8 @@ class Judgement(Shown, Generic[Doc]):
 
     def __repr__(self) -> str:
         rows, what = self._rows()
+        if not rows and self.sentences:
+            return f"<Judgement: {self.sentences[0]}; warnings: {len(self.warnings)}>"
         words = Counter(str(row["verdict"]).replace("_", " ") for row in rows.values())
         counts = ", ".join(f"{count} {word}" for word, count in words.items())
         return f"<Judgement of {len(rows)} {what}s: {counts}; warnings: {len(self.warnings)}>"

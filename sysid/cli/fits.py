@@ -225,7 +225,7 @@ def explain(
 
     explain_and_print(
         fit, campaign, adopt=adopt, figure=figure, force=force, threads=threads, json=json,
-        say=unless(quiet or json),
+        quiet=quiet, say=unless(quiet or json),
     )  # fmt: skip
 
 

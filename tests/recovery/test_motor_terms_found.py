@@ -34,7 +34,7 @@ def test_a_supply_that_sags_is_not_explained_and_then_found(sagging, tmp_path, r
     assert judged["verdict"] == "not_explained"
     target = path.with_name("with-terms.toml")
     picture = tmp_path / "rungs.png"
-    code, shown, err = run("explain", folder, "--adopt", target, "--figure", picture, "--quiet")
+    code, shown, err = run("explain", folder, "--adopt", target, "--figure", picture)
     assert (code, picture.is_file()) == (0, True), err
     document = ExplainDocument.read(folder)
     assert document.keep == ["supply sags"]
