@@ -60,7 +60,8 @@ class Model:
         folder : path, optional
             Where the campaign goes; without it, it lasts as long as this object and the fits of it.
         inputs : mapping, optional
-            Quantities of each trial that `simulate` reads, such as ``{"swing-1": {"load": "0.2 kg"}}``.
+            Quantities of each trial that `simulate` reads, such as ``{"swing-1": {"load": "0.2 kg"}}``;
+            a bare number has no unit.
         validate : collection of str
             Trials that are not fitted.
         noise : mapping, optional

@@ -24,7 +24,7 @@ from pydantic import ConfigDict, Field
 from sysid.campaign import FitTable
 from sysid.campaign.common import CampaignTable, TomlTable, TrialTable
 from sysid.campaign.file import resolve_log
-from sysid.errors import CampaignError, FitError, LogError
+from sysid.errors import CampaignError, FitError, LogError, UnitError
 from sysid.filters import shown_noise
 from sysid.fit.kind import Kind, Term, begin
 from sysid.fit.nrmse import CostChannel, FilteredNrmse, TrialTarget
@@ -128,7 +128,10 @@ class OwnModel:
                 refusal = f"trials[{entry.name!r}]: {name!r} is no input of {self.name}; it has {known}"
                 raise CampaignError(refusal)
             unit = self.inputs[name]
-            constants[name] = parse_quantity(value, unit) if isinstance(value, str) else float(value)
+            try:
+                constants[name] = parse_quantity(str(value), unit)
+            except UnitError as error:
+                raise CampaignError(f"trials[{entry.name!r}].{name}: {error}") from None
         series = {name: unit for name, unit in self.inputs.items() if name not in given}
         log = resolve_log(path, entry.log)
         instants, columns = read_columns(log, {**self.channels, **series}, campaign.log)

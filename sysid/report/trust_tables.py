@@ -365,7 +365,8 @@ def print_check(document: CheckDocument, json: bool, *, details: bool = False) -
         print_lines(check_lines(document))
     for row in rows:
         print_lines([f"{row['name']}: suspicious: {finding}" for finding in row["suspicions"]], "bold yellow")
-    print_lines([f"{document.campaign['name']}, {len(rows)} logs: {excitation_line(document)}"])
+    covered = excitation_line(document)
+    print_lines([f"{document.campaign['name']}, {len(rows)} logs{f': {covered}' if covered else ''}"])
     if document.parameters:
         print_table(expected_table(document, details=details))
     if details:
@@ -399,13 +400,13 @@ def check_lines(document: CheckDocument) -> list[str]:
 
 
 def excitation_line(document: CheckDocument) -> str:
-    """Return the ranges that the trials cover."""
+    """Return the ranges that the trials cover; empty where the kind names none."""
     spans = []
     for name, value in document.excitation.items():
         word, unit = name.removesuffix("_deg").replace("_", " "), _UNITS.get(name, "")
         ends = f"{value[0]:.3g} to {value[1]:.3g}" if isinstance(value, list) else f"{value}"
         spans.append(f"{word} {ends} {unit}".rstrip())
-    return ", ".join(spans) or "nothing is excited"
+    return ", ".join(spans)
 
 
 def channel_line(document: CheckDocument) -> str:

@@ -92,6 +92,10 @@ def test_each_trial_has_its_own_number_and_reads_its_inputs():
     )
     assert fit.sets.best["start[half]"] == pytest.approx(4.0, rel=0.02)
     assert fit.sets.best["start[full]"] == pytest.approx(2.0, rel=0.02)
+    # A bare number has no unit: 0 ms might as well be 0 s, and 35 be degrees.
+    bare = {"half": {"gain": 0.5, "lag": 0.0}, "full": {"gain": 1}}
+    with pytest.raises(sysid.SysidError, match=r"trials\['half'\]\.lag: '0\.0' has no unit; expected"):
+        sysid.fit_campaign(owner.campaign({"half": half, "full": full}, inputs=bare), **SMALL)
 
 
 def test_failures_are_counted_and_their_first_message_is_told():
