@@ -28,7 +28,7 @@ def check_kind(campaign: str | Path | Campaign) -> None:
     """Check the kind of model that a campaign names on the campaign's trials, for a test of yours.
 
     * Units are known.
-    * Costs between the bounds are finite, and some are those of whole simulations.
+    * Costs between the bounds are finite, and at least one simulation runs to its end.
     * Every free parameter moves a residual.
     * Equal rows give equal bits, whatever their neighbours, their order and the number of threads.
     * A simulation that cannot succeed is counted as a failure: every parameter is NaN. One that NaN keeps
@@ -60,7 +60,7 @@ def check_kind(campaign: str | Path | Campaign) -> None:
 
 
 def _check_numbers(one: Problem, two: Problem) -> None:
-    """Compare the numbers of equal rows, and those of a lost one."""
+    """Compare the numbers of equal candidates; check that a failing simulation is counted."""
     cube = np.random.default_rng(1).random((_POINTS, len(one.space.free)))
     bits = _bits(one, cube)
     kind = one.campaign.kind

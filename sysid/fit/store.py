@@ -24,7 +24,7 @@ from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.provenance import FitDocument
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import run_record, summary
-from sysid.parameter_sets import INTERVALS, ParameterSets, SetsDocument, SetsMetadata, content_of
+from sysid.parameter_sets import ACCUSED, INTERVALS, ParameterSets, SetsDocument, SetsMetadata, content_of
 from sysid.storage import (
     FileKind,
     check_folder,
@@ -189,8 +189,9 @@ def _check_copy(path: Path, sets: ParameterSets) -> None:
         copy = ParameterSets.from_document(document)
     except (FitError, OSError, ValueError, KeyError) as error:
         raise FitError(f"{str(error).removesuffix('; ' + SetsDocument.REMEDY)}; {remedy}") from error
-    # Intervals are those of the assessment, in trust.json.
-    copy, sets = (replace(each, settings={**each.settings, INTERVALS: {}}) for each in (copy, sets))
+    # An assessment adds its intervals and accusations to fit.json; both stand in trust.json.
+    later = {INTERVALS: {}, ACCUSED: []}
+    copy, sets = (replace(each, settings={**each.settings, **later}) for each in (copy, sets))
     for what in (
         "kind", "name", "names", "runs", "seeds", "trials", "uses", "channels", "parameters", "settings",
         "provenance",

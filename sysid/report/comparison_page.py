@@ -152,7 +152,7 @@ def _parameter_table(document: Comparison, fits: Sequence[ComparedFit]) -> Table
     shown = [
         words("symbol", lambda name: name_and_unit(records[name].symbol or name, records[name].unit)),
         words("name", lambda name: name.replace("_", " ")),
-        # What the page is for stands where no width cuts it off.
+        # Differences are the purpose of the page: their column comes first, where no width cuts it off.
         words("difference", differs),
     ]
     for k, fit in enumerate(fits):

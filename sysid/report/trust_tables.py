@@ -371,7 +371,7 @@ def print_check(document: CheckDocument, json: bool, *, details: bool = False) -
         print_table(expected_table(document, details=details))
     if details:
         print_lines([channel_line(document)])
-    # The table has what is said of single parameters.
+    # Sentences on single parameters repeat the table.
     print_lines([sentence for sentence in document.sentences if details or sentence not in said])
     if warnings := len(document.warnings):
         print_lines([f"{warnings} warning{'' if warnings == 1 else 's'} above"], "bold yellow")

@@ -40,7 +40,7 @@ class KnownValue(Part):
 
     parameter: str
     unit: str
-    # As each campaign states it [unit]; None where the fit searched it.
+    # Value in each campaign [unit]; None where the fit searched it.
     values: list[float | None]
 
 

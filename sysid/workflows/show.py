@@ -109,7 +109,7 @@ def verdict_on(result: FitResult) -> str:
     if bounds := sorted(record.name for record, side in sides if side and record.name not in words):
         lost.append(f"at a bound: {', '.join(bounds)}")
     if not all(row.name in result.judged for row in result.searched if row.status == "free"):
-        lost.append("no intervals were computed, so nothing is said to be identifiable")
+        lost.append("no intervals were computed, so it is unknown which parameters are identifiable")
     known = "; ".join(lost) or "every free parameter is identifiable"
     decided = {row.decided_by for row in result.judged.values()} - {None}
     for key in sorted(map(str, decided)):

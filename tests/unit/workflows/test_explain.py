@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from fakes.places import SAMPLES
 from fakes.reports import SHORT
 from sysid.campaign import read_campaign
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY
-from sysid.fit.store import write_fit
+from sysid.fit.store import fit_texts, read_fit, write_fit
+from sysid.parameter_sets import ACCUSED
 from sysid.report.explain import conclusion, figure_rungs, moves_table, rungs_table
 from sysid.trust.documents import ExplainDocument, FreeParameter, LadderRung, TrustDocument, write_part
 from sysid.workflows.explain import edited
@@ -247,3 +249,12 @@ def test_a_report_shows_the_ladder_and_takes_it_for_no_validation(kind, tmp_path
     assert "validation on ladder" not in page
     shown = run("show", folder)[1]
     assert f"explain: keep slide rubs dry; all of it: sysid report {folder}" in shown.replace("\n", "")
+
+
+def test_a_fit_that_accuses_its_campaign_is_read_again(lag):
+    """An assessment writes its accusation into fit.json, and fit.h5 stays as it is."""
+    fit = read_fit(lag[1])
+    accused = replace(fit, settings={**fit.settings, ACCUSED: ["the trials ask for another gain"]})
+    for name, content in fit_texts(accused).items():
+        (lag[1] / name).write_bytes(content)
+    assert read_fit(lag[1]).parameter_sets().names == fit.parameter_sets().names
