@@ -52,6 +52,7 @@ from sysid.trust.documents import (
 from sysid.workflows import fit as fits
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
+from sysid.workflows.draws import drawn_sets
 from sysid.workflows.explain import explain_opened
 from sysid.workflows.options import FitOptions, ReportOptions, TrustOptions, campaign_file
 from sysid.workflows.predict import cross_validate as leave_out
@@ -452,6 +453,17 @@ class Fit(Shown):
         document = assess_fit(self.place, python_options(TrustOptions, locals()), say_of(progress))
         self.result = with_intervals(read_judged_fit(self.place), self.place)
         return Judgement(document)
+
+    def draws(self, count: int = 200) -> pd.DataFrame:
+        """Return joint draws of what the data leave open: a row per draw, a column per number [SI].
+
+        The fit stores 200; more are made from its campaign. FitError where the fit has no intervals.
+        """
+        import pandas as pd
+
+        sets = drawn_sets(self.place, count)
+        rows = pd.RangeIndex(1, len(sets) + 1, name="draw")
+        return pd.DataFrame(sets.values, index=rows, columns=list(sets.names))
 
     @documented(ReportOptions)
     def report(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from sysid.api import Fit, documented, python_options
+from sysid.api import Fit, documented, place_of, python_options
 from sysid.errors import CampaignError, ExportError
 from sysid.export import load_parameter_sets
 from sysid.landing.design_study import DesignStudy, find_changes
@@ -31,6 +31,7 @@ from sysid.report.landing_figures import figure_impulse, figure_of_file
 from sysid.resume import Computing
 from sysid.shown import Shown
 from sysid.storage import check_file, path_of
+from sysid.workflows.draws import sets_or_draws
 from sysid.workflows.landing import controller_of, land_drone
 from sysid.workflows.landing_maps import limits_of
 from sysid.workflows.landing_sources import chosen_controllers, paired_fleets
@@ -65,6 +66,16 @@ def sets_of(given: object) -> ParameterSets:
         return load_parameter_sets(given)
     found = type(given).__name__
     raise ExportError(f"expected sets, such as sets.best, a fit or its path, found a {found}").also(TypeError)
+
+
+def _drawn(given: Sets, draws: int | None, *, best: bool = False) -> ParameterSets:
+    """Return sets, or draws of a fit, see `sysid.workflows.draws.sets_or_draws`."""
+    if draws is None or (best and isinstance(given, ParameterSets | RankedSet)):
+        return sets_of(given)
+    if isinstance(given, str | Path | Fit):
+        return sets_or_draws(place_of(given), draws, best=best)
+    found = type(given).__name__
+    raise ExportError(f"draws are of a fit or its folder, found a {found}; leave draws out").also(TypeError)
 
 
 def _set(given: Sets) -> RankedSet:
@@ -168,7 +179,8 @@ def landing_map(
     trigger: Trigger = "contact", pitch: Quantity = 0.0, horizontal_speed: Quantity = 0.0,
     pair: Pairing = "best", ideal_reversal: bool = False, check: bool = True, horizon: Quantity = 3.0,
     short: Quantity = 0.45, long: Quantity = 1.0, rest_speed: Quantity = 0.05, rest_turn: Quantity = 0.2,
-    rest_time: Quantity = 0.2, flip_angle: Quantity = "80 deg", threads: int | None = None,
+    rest_time: Quantity = 0.2, flip_angle: Quantity = "80 deg", draws: int | None = None,
+    threads: int | None = None,
 ) -> LandingMaps:  # fmt: skip
     """Return what becomes of landings over slope [deg] and touchdown speed [m/s].
 
@@ -183,7 +195,7 @@ def landing_map(
     >>> sysid.landing_map(gear, motor, slopes="0:30:15 deg", speeds=[0.3, 0.6], check=False)
     <LandingMaps: 2 maps of 3 × 2 cells>
     """
-    fleets, origin = _fleets(gears, motor, pair, ideal_reversal)
+    fleets, origin = _fleets(gears, motor, pair, ideal_reversal, draws)
     tilted = python_options(TouchdownOptions, {**locals(), "slope": 0.0, "speed": 0.0}).begin
     settings = python_options(
         MapSettings, locals(), slopes_deg=_grid(slopes, "slopes", "deg"), speeds=_grid(speeds, "speeds"),
@@ -206,7 +218,7 @@ def impulse_map(
     equal: Quantity = 0.0, pair: Pairing = "best", ideal_reversal: bool = False, check: bool = True,
     horizon: Quantity = 3.0, short: Quantity = 0.45, long: Quantity = 1.0, rest_speed: Quantity = 0.05,
     rest_turn: Quantity = 0.2, rest_time: Quantity = 0.2, flip_angle: Quantity = "80 deg",
-    threads: int | None = None,
+    draws: int | None = None, threads: int | None = None,
 ) -> LandingMaps:  # fmt: skip
     """Return the best impulse of every cell, and what becomes of landings with it.
 
@@ -222,7 +234,7 @@ def impulse_map(
     >>> sysid.impulse_map(gear, motor, check=False, **grid)
     <LandingMaps: 3 maps of 2 × 1 cells>
     """
-    fleets, origin = _fleets(gears, motor, pair, ideal_reversal)
+    fleets, origin = _fleets(gears, motor, pair, ideal_reversal, draws)
     settings = python_options(
         MapSettings, locals(), slopes_deg=_grid(slopes, "slopes", "deg"), speeds=_grid(speeds, "speeds")
     )
@@ -273,7 +285,7 @@ def design_study(
     share: float = 0.5, spread: float = 0.0, together: bool = False, pair: Pairing = "best",
     ideal_reversal: bool = False, horizon: Quantity = 3.0, short: Quantity = 0.45, long: Quantity = 1.0,
     rest_speed: Quantity = 0.05, rest_turn: Quantity = 0.2, rest_time: Quantity = 0.2,
-    flip_angle: Quantity = "80 deg", threads: int | None = None,
+    flip_angle: Quantity = "80 deg", draws: int | None = None, threads: int | None = None,
 ) -> DesignTable:  # fmt: skip
     """Vary legs, feet and motors: which change buys most.
 
@@ -289,7 +301,7 @@ def design_study(
     <DesignTable of published-gear-lf: 3 designs, k_t ×>
     """
     changes = find_changes(vary)
-    (fleet,), _ = _fleets([gear], motor, pair, ideal_reversal)
+    (fleet,), _ = _fleets([gear], motor, pair, ideal_reversal, draws)
     settings = python_options(
         StudySettings, locals(), slopes_deg=_grid(slopes, "slopes", "deg"), speeds=_grid(speeds, "speeds"),
         spread_deg=float(spread),
@@ -297,7 +309,7 @@ def design_study(
     (chosen,) = chosen_controllers(
         [controller], settings.rules.horizon, file=_file(controller_file), ideal_reversal=ideal_reversal
     )
-    name = fleet[0].name.removesuffix(" set 1")
+    name = fleet[0].name.rsplit(" ", 2)[0]
     study = study_of(name, fleet, changes, chosen, settings, Computing(threads=threads))
     assert study is not None  # nobody asks it to stop
     return DesignTable(study)
@@ -323,10 +335,11 @@ def static_limits(sets: Sets, thrust: float | Sequence[float] = (0.0, 12.0)) -> 
 
 
 def _fleets(
-    gears: Sets | Sequence[Sets], motor: Sets, pair: Pairing, ideal_reversal: bool
+    gears: Sets | Sequence[Sets], motor: Sets, pair: Pairing, ideal_reversal: bool, draws: int | None
 ) -> tuple[Fleets, dict[str, object]]:
     """Return the drones of every gear, and where their numbers come from."""
-    loaded, rotor = [sets_of(gear) for gear in _several(gears, "gears")], sets_of(motor)
+    loaded = [_drawn(gear, draws) for gear in _several(gears, "gears")]
+    rotor = _drawn(motor, draws, best=True)
     fleets = paired_fleets(loaded, rotor, pair, [sets.name for sets in loaded])
     origins = {
         fleet[0].surface: {"name": sets.name, **sets.provenance}

@@ -249,6 +249,10 @@ ACCUSED = "accused"
 KNOWN_ANYHOW = "known_anyhow"
 # Key of the provenance: residuals of the fit over the noise, see `sysid.fit.adequacy`.
 ADEQUACY = "adequacy"
+# Key of the provenance: number of draws, where the sets are draws of what a fit leaves open.
+DRAWS = "draws"
+# Largest deviation of the sets over half of a parameter's 95 % interval [1] that counts as one optimum.
+_ONE_OPTIMUM = 0.1
 # Largest NRMSE over the best one [1] of a set that counts for the spread of a fit that was cut short.
 NEAR_BEST = 1.1
 _ENDS = {"interval_95", "open_95", "verdict"}
@@ -387,6 +391,13 @@ class SetsContent:
             return np.where(np.all(values == values[:1], axis=0), 0.0, spread)
         stated = [r.stated_sigma for r in self.parameters]
         return np.array([np.nan if value is None else value for value in stated], dtype=np.float64)
+
+    @property
+    def one_optimum(self) -> bool:
+        """Whether the sets differ by far less than what the data leave open, so that σ says nothing."""
+        rows = [(row.sigma, row.judged) for row in self.known.values() if row.judged and not row.judged.lost]
+        close = [sigma <= _ONE_OPTIMUM * np.ptp(judged.interval_95) / 2 for sigma, judged in rows]
+        return len(self.nrmse) > 1 and bool(rows) and all(close) and bool(self.counted.all())
 
     def over_channels(self, nrmse: FloatArray) -> FloatArray:
         """Return the weighted mean (...) of NRMSE (..., C) over the channels [1]; NaN without any weight."""

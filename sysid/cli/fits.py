@@ -15,6 +15,7 @@ from sysid.workflows.options import (
     CampaignPath,
     Dask,
     Details,
+    Draws,
     Figure,
     FitCampaign,
     FitFolder,
@@ -269,6 +270,7 @@ def export(
     set: Annotated[int | None, Flag("Write only the set of this rank (.xml, .sdf).", least=1)] = None,
     slope: SlopeOfGround = 0.0,
     per_leg: Annotated[bool, Flag("Model four single legs in space (.xml).")] = False,
+    draws: Draws = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -280,7 +282,9 @@ def export(
     """
     from sysid.workflows.export_models import print_exported
 
-    print_exported(fit, out, force, json, target=target, mass=mass, rank=set, slope=slope, per_leg=per_leg)
+    print_exported(
+        fit, out, force, json, target=target, mass=mass, rank=set, slope=slope, per_leg=per_leg, draws=draws
+    )
 
 
 @command(app, "fits", "sysid fits")

@@ -119,6 +119,8 @@ class Kind:
         campaign,
         (),
     )
+    # (problem, rows (S, n_table) [SI]) -> every number (S, n) of such sets, as in `FitOutcome.values`.
+    numbers: Callable[[Any, FloatArray], FloatArray] = lambda problem, rows: rows
     # Physics on trial, see `sysid.trust.ladder`.
     terms: tuple[Term, ...] = ()
     # (fitted problem) -> (title, simpler model of the same trials) pairs that the ladder compares.

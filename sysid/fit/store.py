@@ -190,7 +190,7 @@ def _check_copy(path: Path, sets: ParameterSets) -> None:
     except (FitError, OSError, ValueError, KeyError) as error:
         raise FitError(f"{str(error).removesuffix('; ' + SetsDocument.REMEDY)}; {remedy}") from error
     # An assessment adds its intervals and accusations to fit.json; both stand in trust.json.
-    later = {INTERVALS: {}, ACCUSED: []}
+    later: dict[str, object] = {INTERVALS: {}, ACCUSED: []}
     copy, sets = (replace(each, settings={**each.settings, **later}) for each in (copy, sets))
     for what in (
         "kind", "name", "names", "runs", "seeds", "trials", "uses", "channels", "parameters", "settings",

@@ -104,10 +104,6 @@ def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
         _DERIVED,
         stated=dict.fromkeys({*stated, *campaign.parameters.fixed}, "campaign"),
     )
-    column = {name: sets.values[:, i] for name, i in PARAMETERS.index.items()}
-    across = column["foot_dx"] - column["joint_dx"]
-    down = column["foot_dz"] - column["joint_dz"]
-    derived = [np.hypot(across, down), np.arctan2(across, down)]
     fitted, nrmse = problem.fitted, sets.cost
     if problem.space.stated:
         # The search adds to the NRMSE what stated values cost that are left.
@@ -130,12 +126,20 @@ def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:
         sets=sets,
         rows=sets.values,
         records=records,
-        values=np.column_stack([sets.values, *derived]),
+        values=_numbers(problem, sets.values),
         at_bound=np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED)))),
         nrmse=nrmse,
         settings=settings,
         cut=course.cut,
     )
+
+
+def _numbers(problem: GearProblem, rows: FloatArray) -> FloatArray:
+    """Return rows (S, n_table) [SI] with the length and the rest angle of their legs behind."""
+    column = {name: rows[:, i] for name, i in PARAMETERS.index.items()}
+    across = column["foot_dx"] - column["joint_dx"]
+    down = column["foot_dz"] - column["joint_dz"]
+    return np.column_stack([rows, np.hypot(across, down), np.arctan2(across, down)])
 
 
 def _candidates(problem: GearProblem, row: FloatArray) -> tuple[GearProblem, Sequence[str]] | None:
@@ -197,6 +201,7 @@ GEAR = Kind(
     begin=_begin,
     story=GearStory,
     follow_up=_follow_up,
+    numbers=_numbers,
     candidates=_candidates,
     under=lambda campaign, fit: on_surface(campaign, str(fit.get("surface", campaign.surface.law))),
     terms=(

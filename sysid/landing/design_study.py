@@ -24,7 +24,7 @@ from sysid.gear.model import PARAMETERS as GEAR
 from sysid.landing.controllers import Controller, read_number
 from sysid.landing.drone import Drone
 from sysid.landing.maps import landing_maps
-from sysid.landing.outcomes import LANDED, Outcome
+from sysid.landing.outcomes import LANDED, OUTCOMES, Outcome
 from sysid.landing.settings import StudySettings
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.resume import Computing
@@ -172,11 +172,16 @@ class DesignStudy:
     changes: tuple[Change, ...]
     settings: StudySettings
     points: FloatArray  # (p, c) value of each change; the first design is the sets as they are
-    landed: FloatArray  # (p, n, m) share of the landings within the long distance [1], as from `shares_of`
+    shares: FloatArray  # (p, 4, n, m) share of the landings by class [1], as from `shares_of`
     lost: IntArray  # (p,) landings that could not be simulated
     outcome: NDArray[np.int8]  # (p, n, m) likeliest class, as of `sysid.landing.maps.LandingMap`
     distance: FloatArray  # (p, n, m) mean over the landings that came to rest [m]; NaN where none did
     time: FloatArray  # (p, n, m) the same [s]
+
+    @property
+    def landed(self) -> FloatArray:
+        """Share (p, n, m) [1] of the landings that come to rest within the long distance."""
+        return np.asarray(self.shares[:, list(LANDED)].sum(axis=1))
 
     @property
     def steepest(self) -> FloatArray:
@@ -296,20 +301,21 @@ def design_study(
         })
         for maps in zip(*attitudes, strict=True)
     ]  # fmt: skip
-    landed, lost = shares_of(np.array([landings.outcome for landings in whole]))
+    shares, lost = shares_of(np.array([landings.outcome for landings in whole]))
     means = (
         np.array([getattr(landings, name) for landings in whole])
         for name in ("likeliest", "mean_distance", "mean_time")
     )
-    return DesignStudy(name, controller.label, tuple(changes), settings, points, landed, lost, *means)
+    return DesignStudy(name, controller.label, tuple(changes), settings, points, shares, lost, *means)
 
 
 def shares_of(outcome: NDArray[np.int8]) -> tuple[FloatArray, IntArray]:
-    """Return the share (p, n, m) [1] that landed, of what could be simulated, and how many (p,) could not.
+    """Return the share (p, 4, n, m) [1] of each class of what could be simulated, and the lost (p,) ones.
 
-    From `Outcome` codes (p, S, n, m) of p designs, S sets and attitudes, n slopes and m speeds. The share is
-    0 where nothing could be simulated: what is not known to be safe is none.
+    From `Outcome` codes (p, S, n, m) of p designs, S sets and attitudes, n slopes and m speeds. The shares
+    are 0 where nothing could be simulated: what is not known to be safe is none.
     """
     lost = outcome == Outcome.LOST
-    sound = np.sum(~lost, axis=1)
-    return np.isin(outcome, LANDED).sum(axis=1) / np.maximum(sound, 1), lost.sum(axis=(1, 2, 3))
+    sound = np.maximum(np.sum(~lost, axis=1), 1)
+    shares = [np.sum(outcome == each, axis=1) / sound for each in OUTCOMES]
+    return np.stack(shares, axis=1), lost.sum(axis=(1, 2, 3))

@@ -25,7 +25,7 @@ from sysid.landing.controllers import Step
 from sysid.landing.settings import Scenario
 from sysid.motor import model as motor_model
 from sysid.motor.pair_thrust import thrust_history
-from sysid.parameter_sets import ParameterSets, RankedSet
+from sysid.parameter_sets import DRAWS, ParameterSets, RankedSet
 
 Pairing = Literal["each", "best"]
 # Number of equal motors that share a command at each end of the body.
@@ -48,6 +48,7 @@ class Drone:
     motor: Mapping[str, float]
     surface: str
     name: str = ""
+    drawn: bool = False  # whether it is a draw of what the data leave open
 
     @cached_property
     def row(self) -> np.ndarray:
@@ -98,10 +99,11 @@ class Drone:
 def drones(gear: ParameterSets, motor: ParameterSets, pairing: Pairing = "best") -> tuple[Drone, ...]:
     """Pair the sets of a gear with sets of a motor, one drone per gear set, best first.
 
-    Every gear set goes with the motor's best set, or set i with set i ("each").
+    Every gear set goes with the motor's best set, or set i with set i ("each", and draws of a motor always).
 
     Raises `ExportError` as `drone` does, or when there are too few motor sets.
     """
+    pairing = "each" if DRAWS in motor.provenance else pairing
     if pairing == "each" and len(motor) < len(gear):
         raise ExportError(
             f"{motor.name}: {len(motor)} motor sets for {len(gear)} gear sets; pair every gear set with the "
@@ -126,8 +128,9 @@ def drone(gear: RankedSet, motor: RankedSet | None = None) -> Drone:
     rotor = {} if motor is None else motor.known(motor_model.PARAMETERS)
     rotor.pop("command_delay", None)
     surface = find_surface(str(gear.sets.settings.get("surface", "lf"))).name
-    name = f"{gear.sets.name} set {gear.rank}"
-    return Drone(gear.known(gear_model.PARAMETERS), rotor, surface, name)
+    drawn = DRAWS in gear.sets.provenance
+    name = f"{gear.sets.name} {'draw' if drawn else 'set'} {gear.rank}"
+    return Drone(gear.known(gear_model.PARAMETERS), rotor, surface, name, drawn)
 
 
 @dataclass(frozen=True)

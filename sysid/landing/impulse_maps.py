@@ -12,7 +12,7 @@ from sysid.gear.propulsion import Propulsion
 from sysid.landing.controllers import Controller, Step
 from sysid.landing.drone import Drone
 from sysid.landing.impulse import Impulses, Optimum
-from sysid.landing.maps import CellMap, Fleets, LandingMap, columns_of_fleets, judged
+from sysid.landing.maps import CellMap, Fleets, LandingMap, columns_of_fleets, judged, numbers_of
 from sysid.landing.settings import ImpulseSettings, MapSettings, Scenario
 from sysid.landing.simulate import Landings, run
 from sysid.parallel import Columns
@@ -135,7 +135,7 @@ def impulse_maps(
         landed += [
             LandingMap(
                 surface, f"{variant}{ideal}", names, *axes, *islice(whole, 4),
-                checked=settings.check,
+                checked=settings.check, numbers=numbers_of(fleet),
             )
             for variant in variants(impulses)
         ]  # fmt: skip

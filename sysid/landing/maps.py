@@ -9,6 +9,7 @@ from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from sysid import __version__
 from sysid.landing.controllers import Controller
@@ -37,6 +38,26 @@ class CellMap:
     slopes_deg: FloatArray  # (n,)
     speeds: FloatArray  # (m,) [m/s]
     law: str = field(default="", kw_only=True)  # name of the controller, whatever triggers it
+    # Numbers (S,) [SI] by parameter that differ between draws; without draws there are none.
+    numbers: Mapping[str, FloatArray] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def of(self) -> str:
+        """What the sets are: draws of what the data leave open, or the runs of a fit."""
+        return "draws" if self.numbers else "sets"
+
+    @property
+    def enough(self) -> float:
+        """Share [1] of the sets that must land where a drone is called to land: 95 % of draws, half of runs.
+
+        Runs of one optimum are no sample of what the data leave open.
+        """
+        return 0.95 if self.numbers else 0.5
+
+    @property
+    def quorum(self) -> str:
+        """`enough` in words."""
+        return "95 % of the draws" if self.numbers else "half of the sets"
 
     @property
     def title(self) -> str:
@@ -52,9 +73,10 @@ class MapSummary(TypedDict):
     sets: int
     cells: dict[str, int]  # number of cells by likeliest class
     speeds: list[float]  # touchdown speeds [m/s] of the next two
-    steepest_deg: list[float]  # slopes up to which half of the sets land
+    quorum: str  # how many of the sets are enough
+    steepest_deg: list[float]  # slopes up to which enough of the sets land
     at_edge: list[bool]  # whether that slope is the map's last one, and a lower bound
-    mean_time: float  # over the cells on which half of the sets land [s]
+    mean_time: float  # over the cells on which enough of the sets land [s]
     mean_distance: float  # over the same cells [m]
     uncertain: float | None  # share of all landings [1]; None: untried
     lost: int  # landings that could not be simulated
@@ -76,6 +98,34 @@ class LandingMap(CellMap):
         sound = np.sum(self.outcome != Outcome.LOST, axis=0)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sum(self.outcome == outcome, axis=0) / np.where(sound, sound, np.nan))
+
+    def error(self, share: FloatArray) -> FloatArray:
+        """Return the standard error (n, m) [1] that a share has because the draws are so few."""
+        sound = np.maximum(np.sum(self.outcome != Outcome.LOST, axis=0), 1)
+        return np.asarray(np.sqrt(share * (1 - share) / sound))
+
+    def deciding(self) -> tuple[NDArray[np.str_], FloatArray]:
+        """Return which parameter (n, m) decides a doubtful cell, and its rank correlation [1] with landing.
+
+        Doubtful is a cell on which 5 to 95 % of the draws land. The name is empty, and the number NaN, in
+        other cells, and where no correlation exceeds what unrelated numbers reach in one of twenty cells.
+        """
+        landed = np.isin(self.outcome, LANDED).reshape(len(self.sets), -1).astype(float)
+        share = landed.mean(axis=0)
+        doubtful = np.flatnonzero((share > 0.05) & (share < 0.95))
+        names, rho = np.full(share.shape, "", dtype=object), np.full(share.shape, np.nan)
+        if self.numbers and len(doubtful):
+            known = np.array(list(self.numbers))
+            ranks = np.argsort(np.argsort(np.array(list(self.numbers.values())), axis=1), axis=1)
+            by = np.corrcoef(ranks, landed[:, doubtful].T)[: len(known), len(known) :]
+            best = np.argmax(np.abs(by), axis=0)
+            chosen = by[best, np.arange(len(doubtful))]
+            # The largest of p unrelated correlations, each normal with the deviation 1/sqrt(S - 1).
+            limit = -ndtri(0.05 / 2 / len(known)) / np.sqrt(len(landed) - 1)
+            clear = np.abs(chosen) > limit
+            names[doubtful[clear]], rho[doubtful[clear]] = known[best[clear]], chosen[clear]
+        shape = self.outcome.shape[1:]
+        return names.astype(str).reshape(shape), rho.reshape(shape)
 
     @property
     def landed(self) -> FloatArray:
@@ -100,8 +150,8 @@ class LandingMap(CellMap):
         """Mean (n, m) over the sets that came to rest [s], NaN where none did."""
         return _mean(self.time)
 
-    def steepest(self, speed: float, share: float = 0.5) -> float:
-        """Return the steepest slope [deg] up to which at least `share` of the sets land; NaN without one.
+    def steepest(self, speed: float) -> float:
+        """Return the steepest slope [deg] up to which `enough` of the sets land; NaN without one.
 
         NaN also where the map has no cell at that touchdown speed [m/s]. The map's steepest slope is a lower
         bound: the map does not show where landings end.
@@ -110,7 +160,7 @@ class LandingMap(CellMap):
         if nearest is None:
             return float("nan")
         column = self.landed[:, nearest]
-        fails = np.flatnonzero(~(column >= share))
+        fails = np.flatnonzero(~(column >= self.enough))
         last = (fails[0] if len(fails) else len(column)) - 1
         return float(self.slopes_deg[last]) if last >= 0 else float("nan")
 
@@ -123,11 +173,12 @@ class LandingMap(CellMap):
             spaced = np.unique(np.linspace(0, len(self.speeds) - 1, 4).round().astype(int))
             speeds = usual or self.speeds[spaced].tolist()
         steepest = [self.steepest(speed) for speed in speeds]
-        chosen = (self.landed >= 0.5) & np.isfinite(self.mean_time)
+        chosen = (self.landed >= self.enough) & np.isfinite(self.mean_time)
         return {
             "surface": self.surface,
             "controller": self.controller,
             "sets": len(self.sets),
+            "quorum": self.quorum,
             "cells": {Outcome(c).name.lower(): n for c, n in zip(classes, counts.tolist(), strict=True)},
             "speeds": speeds,
             "steepest_deg": steepest,
@@ -160,6 +211,15 @@ def nearest_cell(centres: FloatArray, value: float) -> int | None:
     if not edges[0] - slack <= value <= edges[-1] + slack:
         return None
     return int(np.clip(np.searchsorted(edges, value - slack) - 1, 0, len(centres) - 1))
+
+
+def numbers_of(fleet: Sequence[Drone]) -> dict[str, FloatArray]:
+    """Return what differs between the drones of draws (S,) [SI] by parameter; nothing where they are runs."""
+    if not fleet[0].drawn:
+        return {}
+    rows = {name: np.array([drone.gear[name] for drone in fleet]) for name in fleet[0].gear}
+    rows |= {name: np.array([drone.motor[name] for drone in fleet]) for name in fleet[0].motor}
+    return {name: values for name, values in rows.items() if np.ptp(values) > 0}
 
 
 def _mean(values: FloatArray) -> FloatArray:
@@ -274,5 +334,6 @@ def landing_maps(
         for controller, part in zip(controllers, parts, strict=True):
             arrays = [column.reshape(shape) for column in columns[part]]
             head = (fleet[0].surface, controller.label, names, *axes)
-            out.append(LandingMap(*head, *arrays, checked=settings.check, law=controller.name))
+            more: dict[str, Any] = {"law": controller.name, "numbers": numbers_of(fleet)}
+            out.append(LandingMap(*head, *arrays, checked=settings.check, **more))
     return tuple(out)

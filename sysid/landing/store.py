@@ -16,11 +16,12 @@ from sysid.landing.impulse_maps import UNITS, ImpulseMap
 from sysid.landing.maps import CellMap, LandingMap
 from sysid.landing.outcomes import MEANINGS, OUTCOMES, Rules
 from sysid.landing.settings import StudySettings
+from sysid.parameter_sets import DRAWS
 from sysid.storage import FileKind, get_json, get_texts, numbered, put, put_json, put_texts, write_file
 from sysid.types import FloatArray
 
 MAPS = FileKind("sysid-landing-maps", 2, "a file of landing maps", "compute the map again", ExportError)
-STUDY = FileKind("sysid-design-study", 2, "a design study", "compute the study again", ExportError)
+STUDY = FileKind("sysid-design-study", 3, "a design study", "compute the study again", ExportError)
 # Settings of a study that its file states by name.
 _STATED = ("share", "spread_deg", "together", "tolerance")
 _CODES = ", ".join(f"{code}: {meaning}" for code, meaning in enumerate(MEANINGS))
@@ -57,6 +58,12 @@ def _put_maps(file: h5py.File, content: MapFile) -> None:
             put(group, "uncertain", landings.uncertain, cells)
         shares = np.array([landings.share(outcome) for outcome in OUTCOMES])
         put(group, "probability", shares, "outcome 0 to 3, slope, speed")
+        if landings.numbers:
+            errors = np.array([landings.error(share) for share in shares])
+            put(group, "probability_error", errors, "outcome 0 to 3, slope, speed")
+            names, correlation = landings.deciding()
+            put_texts(group, "decided_by", names.tolist())
+            put(group, "decided_by_correlation", correlation, means)
         put(group, "mean_distance", landings.mean_distance, means, "m")
         put(group, "mean_time", landings.mean_time, means, "s")
     for number, best in enumerate(content.impulses, start=1):
@@ -73,6 +80,8 @@ def _group(file: h5py.File, name: str, cells: CellMap) -> h5py.Group:
     put_texts(group, "sets", cells.sets)
     put(group, "slope", cells.slopes_deg, "slope", "deg")
     put(group, "speed", cells.speeds, "speed", "m/s")
+    for name, values in cells.numbers.items():
+        put(group, f"numbers/{name}", values, "draw", "SI")
     return group
 
 
@@ -86,7 +95,8 @@ def read_maps(path: Path) -> MapFile:
             checked = bool(group.attrs["checked"])
             uncertain = group["uncertain"][()] if checked else outcome < 0
             arrays = (outcome, distance, time, uncertain)
-            maps.append(LandingMap(*_head(group), *arrays, checked=checked, law=str(group.attrs["law"])))
+            more: dict[str, Any] = {"law": str(group.attrs["law"]), "numbers": _numbers(group)}
+            maps.append(LandingMap(*_head(group), *arrays, checked=checked, **more))
         impulses = tuple(
             ImpulseMap(*_head(group), {name: group[name][()] for name in UNITS})
             for group in numbered(file, "impulses")
@@ -94,18 +104,22 @@ def read_maps(path: Path) -> MapFile:
         return MapFile(tuple(maps), impulses, settings, provenance)
 
 
+def _numbers(group: h5py.Group) -> dict[str, FloatArray]:
+    return {name: values[()] for name, values in group.get("numbers", {}).items()}
+
+
 def _head(group: h5py.Group) -> tuple[str, str, tuple[str, ...], FloatArray, FloatArray]:
     surface, controller = str(group.attrs["surface"]), str(group.attrs["controller"])
     return surface, controller, tuple(get_texts(group, "sets")), group["slope"][()], group["speed"][()]
 
 
-def write_study(path: Path, study: DesignStudy, provenance: Mapping[str, object]) -> Path:
+def write_study(path: Path, study: DesignStudy, provenance: Mapping[str, Any]) -> Path:
     """Write the file whole or not at all; raises `ExportError` where it cannot be written."""
     write_file(path, STUDY.content(lambda file: _put_study(file, study, provenance)), ExportError)
     return path
 
 
-def _put_study(file: h5py.File, study: DesignStudy, provenance: Mapping[str, object]) -> None:
+def _put_study(file: h5py.File, study: DesignStudy, provenance: Mapping[str, Any]) -> None:
     settings = study.settings
     file.attrs["name"], file.attrs["controller"] = study.name, study.controller
     document = {
@@ -119,7 +133,10 @@ def _put_study(file: h5py.File, study: DesignStudy, provenance: Mapping[str, obj
     put(file, "slope", settings.slopes_deg, "slope", "deg")
     put(file, "speed", settings.speeds, "speed", "m/s")
     put(file, "designs", study.points, "design, change", f"columns: {labels}")
-    put(file, "landed", study.landed, "design, slope, speed")
+    put(file, "probability", study.shares, "design, outcome 0 to 3, slope, speed")
+    if draws := provenance.get(DRAWS):
+        error = np.sqrt(study.shares * (1 - study.shares) / draws)
+        put(file, "probability_error", error, "design, outcome 0 to 3, slope, speed")
     put(file, "outcome", study.outcome, "design, slope, speed", _CODES)
     put(file, "mean_distance", study.distance, "design, slope, speed", "m")
     put(file, "mean_time", study.time, "design, slope, speed", "s")
@@ -137,7 +154,7 @@ def read_study(path: Path) -> tuple[DesignStudy, dict[str, Any]]:
         slopes, speeds = (tuple(file[name][()].tolist()) for name in ("slope", "speed"))
         settings = StudySettings(slopes, speeds, **stated, rules=Rules(**document["rules"]))
         changes = tuple(Change(**row | {"values": tuple(row["values"])}) for row in document["changes"])
-        arrays = ("designs", "landed", "lost", "outcome", "mean_distance", "mean_time")
+        arrays = ("designs", "probability", "lost", "outcome", "mean_distance", "mean_time")
         numbers = (file[name][()] for name in arrays)
         name, controller = (str(file.attrs[key]) for key in ("name", "controller"))
         return DesignStudy(name, controller, changes, settings, *numbers), provenance

@@ -206,10 +206,7 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         )
 
     unknown = untested_rows(campaign, bench)
-    exported = rows.copy()
-    exported[:, [PARAMETERS.index[name] for name in unknown]] = np.nan
-    derived = np.array([list(invariants(unpack(row)).values()) for row in rows[:, : len(PARAMETERS)]])
-    at_bound = np.pad(sets.at_bound, ((0, 0), (0, derived.shape[1])))
+    at_bound = np.pad(sets.at_bound, ((0, 0), (0, len(_DERIVED))))
     if band is not None:
         at_bound[:, searched] = band.at_bound
     u_of = campaign_range(campaign)
@@ -236,7 +233,7 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         sets=sets,
         rows=rows,
         records=_records(problem, unknown, band),
-        values=np.hstack([exported, derived]),
+        values=numbers(problem, rows),
         at_bound=at_bound,
         nrmse=nrmse,
         settings={**circumstances, **settings},
@@ -260,6 +257,18 @@ def _at_stated_scale(problem: MotorProblem, sets: RankedSets) -> RankedSets:
     at_bound = sets.at_bound.copy()
     at_bound[:, space.columns] = space.at_bound(cube)
     return replace(sets, cube=cube, values=space.full(cube), at_bound=at_bound)
+
+
+def numbers(problem: MotorProblem, rows: FloatArray) -> FloatArray:
+    """Return rows (S, n_table) [SI] with their no-load lines, and behind them the numbers that follow.
+
+    NaN replaces what nothing recorded determines.
+    """
+    rows = problem.complete(rows)
+    derived = np.array([list(invariants(unpack(row)).values()) for row in rows[:, : len(PARAMETERS)]])
+    unknown = untested_rows(problem.campaign, problem.bench)
+    rows[:, [PARAMETERS.index[name] for name in unknown]] = np.nan
+    return np.hstack([rows, derived])
 
 
 def _findings(

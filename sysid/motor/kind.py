@@ -7,7 +7,7 @@ from pathlib import Path
 from sysid.campaign import MotorCampaign
 from sysid.fit.kind import Kind, Term, Words
 from sysid.motor.candidates import candidate_trials
-from sysid.motor.follow_up import begin_fit, follow_up
+from sysid.motor.follow_up import begin_fit, follow_up, numbers
 from sysid.motor.known_values import motor_space, prepare_bench
 from sysid.motor.model import PARAMETERS
 from sysid.motor.problem import MotorProblem
@@ -28,6 +28,7 @@ MOTOR = Kind(
     open=_open,
     begin=begin_fit,
     follow_up=follow_up,
+    numbers=numbers,
     candidates=candidate_trials,
     story=MotorStory,
     terms=(

@@ -43,6 +43,7 @@ class CellChart:
     texts: tuple[NDArray[Any], ...] = ()  # (n, m) each
     doubt: BoolArray | None = None  # (n, m) half the tolerance changes a class
     share: FloatArray | None = None  # (n, m) landings that come to rest within the long distance [1]
+    decides: NDArray[np.str_] | None = None  # (n, m) what decides a doubtful cell, in words
 
     def document(self) -> dict[str, object]:
         """Return what the page's script draws: thousandths as whole numbers, cells row by row."""
@@ -64,6 +65,7 @@ class CellChart:
             "command": list(self.command), "texts": [text.ravel().tolist() for text in self.texts],
             "doubt": None if self.doubt is None else "".join(map(str, self.doubt.ravel().astype(int))),
             "share": None if self.share is None else whole(self.share[None])[0],
+            "decides": None if self.decides is None else self.decides.ravel().tolist(),
         }  # fmt: skip
 
 

@@ -140,8 +140,9 @@ def figure_landing_maps(
     """Draw maps: a row per surface, a column per controller.
 
     The colour is the mean of the classes' colours, weighted with the share of the sets. Dots mark cells in
-    which half the tolerance changes the class of a set. Contours are drawn where at least half of the sets
-    land. Slopes above a map, for limits a little higher, are hatched.
+    which half the tolerance changes the class of a set. Contours are drawn where enough of the sets land.
+    For draws, the edge of where 95 % of them land is drawn. Slopes above a map, for limits a little higher,
+    are hatched.
 
     `limits` are the static ones of the surface's first set by surface and controller. `experiments` are drawn
     where both agree. `short` and `long` divide the classes [m]. A given `legend` takes what is drawn, and the
@@ -189,9 +190,11 @@ def figure_landing_maps(
             taken += list(_relative(axes, np.array([(e.speed, e.slope_deg) for e in real])))
         if min(chart.landed.shape) > 1:
             _draw_contours(axes, chart, taken, legend)
+            if chart.numbers and not edges:
+                _draw_bound(axes, chart, legend)
         bound = (edges or {}).get((chart.surface, chart.controller))
         if bound is not None and min(bound.landed.shape) > 1:
-            _draw_bound(axes, bound, legend)
+            _draw_bound(axes, bound, legend, " with the impulse alone")
         _draw_experiments(axes, real, legend)
     if limits:
         _name_limits(legend, maps, limits, highest)
@@ -207,7 +210,7 @@ def figure_landing_maps(
     figure.set_size_inches(1.2 + 4.1 * len(columns), 0.8 + 3.5 * len(surfaces) + 0.18 * rows)
     counts = sorted({len(chart.sets) for chart in maps})
     many = " to ".join(dict.fromkeys(map(str, (counts[0], counts[-1]))))
-    blended = f"{many} sets per map; blended colours are shares of the sets"
+    blended = f"{many} {maps[0].of} per map; blended colours are shares of the {maps[0].of}"
     figure.legend(
         list(legend.values()), list(legend), loc="outside lower center", ncols=ncols, frameon=False,
         title="one set per map" if counts == [1] else blended, fontsize=8, title_fontsize=8,
@@ -277,7 +280,7 @@ def _relative(axes: Axes, points: FloatArray) -> FloatArray:
 
 def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legend: MapLegend) -> None:
     """Draw mean distance and time; one label per level, where it is clear of all others, or none."""
-    landed = chart.landed >= 0.5
+    landed = chart.landed >= chart.enough
     for values, levels, colour, style, unit, name in (
         (chart.mean_distance, _DISTANCES, "#000000", "solid", "m", "mean distance to rest"),
         (chart.mean_time, _TIMES, "#00224E", (0, (4, 2)), "s", "mean time to rest"),
@@ -313,16 +316,16 @@ def _draw_contours(axes: Axes, chart: LandingMap, taken: list[FloatArray], legen
                 )  # fmt: skip
 
 
-def _draw_bound(axes: Axes, chart: LandingMap, legend: MapLegend) -> None:
-    """Draw the edge of where half of the sets land, around cells: neighbours may differ by chance."""
-    landed = np.nan_to_num(chart.landed) >= 0.5
+def _draw_bound(axes: Axes, chart: LandingMap, legend: MapLegend, how: str = "") -> None:
+    """Draw the edge of where enough of the sets land, around cells: neighbours may differ by chance."""
+    landed = np.nan_to_num(chart.landed) >= chart.enough
     across, up = cell_edges(chart.speeds), cell_edges(chart.slopes_deg)
     look: Style = {"color": "black", "linestyle": (0, (5, 2)), "linewidth": 2.0}
     for row, column in np.argwhere(landed[1:] != landed[:-1]).tolist():
         axes.plot(across[column : column + 2], [up[row + 1]] * 2, **look)
     for row, column in np.argwhere(landed[:, 1:] != landed[:, :-1]).tolist():
         axes.plot([across[column + 1]] * 2, up[row : row + 2], **look)
-    legend["half of the sets land with the impulse alone up to here"] = Line2D([], [], **look)
+    legend[f"{chart.quorum} land{how} up to here"] = Line2D([], [], **look)
 
 
 def _clear_spot(axes: Axes, pieces: Sequence[FloatArray], taken: Sequence[FloatArray]) -> FloatArray | None:

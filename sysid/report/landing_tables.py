@@ -49,7 +49,9 @@ def maps_table(counts: Sequence[Mapping[str, Any]]) -> Table:
         for entry in counts
     ]
     heads = ("map", *(f"{speed:g}" for speed in counts[0]["speeds"]), "time [s]", "way [m]", "doubt [%]")
-    return listed("Steepest slope [deg] that half of the sets land on, by touchdown speed [m/s]", rows, heads)
+    return listed(
+        f"Steepest slope [deg] that {counts[0]['quorum']} land on, by touchdown speed [m/s]", rows, heads
+    )
 
 
 def gains_table(study: DesignStudy) -> Table:

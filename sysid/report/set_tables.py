@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from sysid.documents import channel_symbol, rounded
-from sysid.parameter_sets import NEAR_BEST, Known, ParameterRecord, ParameterSets
+from sysid.parameter_sets import DRAWS, NEAR_BEST, Known, ParameterRecord, ParameterSets
 from sysid.report.table import (
     NONE,
     Cell,
@@ -28,6 +28,7 @@ from sysid.types import FloatArray
 _AT_BOUND, _UNFIXED = "*", "†"
 _FLAG = f"{_AT_BOUND} ends within 1 % of a bound of the search"
 _SPREAD = "σ is the spread of the runs, not the accuracy; it includes runs that ended elsewhere"
+_DRAWN = "σ is the spread of the draws: what the data leave open"
 _NOISE = "the NRMSE of a velocity (ẋ_B, ż_B) is mostly noise: velocities are differentiated positions"
 
 
@@ -108,7 +109,12 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
     # Known values of several fits differ, and stand beside each other in a table of their own.
     one = len(fits) == 1
     rows = [row for row in mean_table(*fits) if one or any(row.fitted)]
-    notes = [_SPREAD] if any(np.any(np.nan_to_num(sets.sigma, posinf=0.0) > 0) for sets in fits) else []
+    same = [sets.one_optimum for sets in fits]
+    spread = any(np.any(np.nan_to_num(sets.sigma, posinf=0.0) > 0) for sets in fits)
+    drawn = any(DRAWS in sets.provenance for sets in fits)
+    notes = [_DRAWN if drawn else _SPREAD] if spread and not all(same) else []
+    of = "draws" if drawn else "runs"
+    title = f"{len(fits[0])} runs, one optimum" if all(same) else f"mean ± σ of the {of}"
     left_out = sum(int(np.count_nonzero(~sets.counted)) for sets in fits)
     if left_out:
         notes.append(f"{left_out} of the sets left out: cut short above {NEAR_BEST:g} × best NRMSE")
@@ -120,7 +126,8 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
         text = known.instead or ("not identifiable" if row.record.name in unfixed else "")
         bound = np.any(known.at_bound)
         # Words in place of digits carry no mark.
-        digits = mean_sigma((known.mean, known.sigma)) + (_AT_BOUND if bound else "")
+        of_runs = mean_sigma((known.mean, known.sigma))
+        digits = (rounded(known.mean) if same[k] else of_runs) + (_AT_BOUND if bound else "")
         return Cell(text or digits, _tone(bound))
 
     def bounds(row: MeanRow) -> str:
@@ -140,7 +147,7 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
 
     judged = numbers("95 % interval", interval), words("verdict", verdict)
     filled = table(
-        "measured and identified parameters (mean ± σ of the sets)",
+        f"measured and identified parameters ({title})",
         rows,
         (
             words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),

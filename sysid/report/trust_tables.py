@@ -114,7 +114,7 @@ def interval_table(document: TrustDocument) -> Table:
         (
             _PARAMETER,
             numbers("best set", best),
-            numbers("mean ± σ of the sets", lambda r: mean_sigma(None if r.lost else (r.mean, r.sigma))),
+            numbers("mean ± σ of the runs", lambda r: mean_sigma(None if r.lost else (r.mean, r.sigma))),
             numbers("95 % interval", attrgetter("interval")),
             numbers("half-width", lambda row: half_width(row.half_width), "%"),
             _VERDICT,

@@ -6,8 +6,9 @@ arrays, each with the attributes ``axes`` and ``unit``:
 
 ``trust``: ``correlation``, ``covariance`` (unit cube), ``profiles/NAME/{value, deviance, others}`` (ascending
 values; deviance is chi-square-like, limits 0.989 and 3.841; others (k, n) are all free parameters),
-``bootstrap/values`` (B, n). Validation: ``trials/NUMBER/{time, measured, valid, simulated}`` (in order, from
-1) as in ``fit.h5``. Cross-validation: ``values`` (T, n).
+``bootstrap/values`` (B, n), ``draws`` (200, all parameters).
+Validation: ``trials/NUMBER/{time, measured, valid, simulated}`` (in order, from 1) as in ``fit.h5``.
+Cross-validation: ``values`` (T, n).
 """
 
 from __future__ import annotations

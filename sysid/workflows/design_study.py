@@ -52,7 +52,7 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
         grid.cells()  # refuses an attitude that cannot touch down before any map is computed
 
     def compute(where: Computing) -> DesignStudy | None:
-        name = fleet[0].name.removesuffix(" set 1")
+        name = fleet[0].name.rsplit(" ", 2)[0]
         return design_study(name, fleet, changes, controller, settings, where)
 
     def write(study: DesignStudy) -> None:

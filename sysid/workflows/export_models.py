@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sysid import exact_json
 from sysid.errors import ExportError
-from sysid.export import SUFFIXES, export, load_parameter_sets
+from sysid.export import SUFFIXES, export
 from sysid.export.mjcf import to_mjcf
 from sysid.export.numbers import numbers_for
 from sysid.export.xml import document
@@ -17,6 +17,7 @@ from sysid.journal import notice
 from sysid.motor.nearest_lag import FirstOrderRotor
 from sysid.parameter_sets import ADEQUACY, ParameterSets
 from sysid.storage import check_file, write_file
+from sysid.workflows.draws import sets_or_draws
 
 # The simulator of a suffix, and the kind of sets that it takes.
 MODELS = {".xml": ("a MuJoCo model", "gear"), ".sdf": ("a Gazebo motor model", "motor")}
@@ -25,6 +26,7 @@ MODELS = {".xml": ("a MuJoCo model", "gear"), ".sdf": ("a Gazebo motor model", "
 def print_exported(
     source: str | Path, out: Path | None, force: bool, json: bool, *, target: str | None = None,
     mass: float | None = None, rank: int | None = None, slope: float = 0.0, per_leg: bool = False,
+    draws: int | None = None,
 ) -> None:  # fmt: skip
     """Print a motor's numbers for a `target`, write them or the sets to `out`, and print what was written.
 
@@ -37,8 +39,11 @@ def print_exported(
                 "give --out FILE to write the sets, or --for with a simulator or flight controller, such as "
                 "gazebo, to print a motor's numbers by its names; --mass goes with --for"
             )
-        files, numbers = export_sets(source, out, force, rank=rank, slope=slope, per_leg=per_leg), None
+        files = export_sets(source, out, force, rank=rank, slope=slope, per_leg=per_leg, draws=draws)
+        numbers = None
     else:
+        if draws is not None:
+            raise ExportError("--for prints the numbers of one set; leave --draws out, or give --out alone")
         if slope or per_leg:
             raise ExportError(
                 "--slope and --per-leg are for MuJoCo models (.xml), not for --for; leave them out"
@@ -69,9 +74,9 @@ def print_exported(
         print(f"wrote {file}", file=sys.stderr if numbers else None)
 
 
-def _sets(source: str | Path | ParameterSets) -> ParameterSets:
-    """Return the sets of a fit folder or file; notice where the model does not explain them."""
-    sets = source if isinstance(source, ParameterSets) else load_parameter_sets(source)
+def _sets(source: str | Path | ParameterSets, draws: int | None = None) -> ParameterSets:
+    """Return the sets of a fit folder or file, or draws; notice where the model does not explain them."""
+    sets = source if isinstance(source, ParameterSets) else sets_or_draws(source, draws)
     if sets.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY:
         seen = "; thrust, torque and time constants of the stand do not depend on it"
         notice(
@@ -91,15 +96,17 @@ def export_sets(
     slope: float = 0.0,
     per_leg: bool = False,
     mass: float | None = None,
+    draws: int | None = None,
 ) -> list[Path]:
     """Write ranked sets, or those of a fit folder or file, and return the files; the suffix chooses how.
 
     Several sets become several models, ``NAME-1.xml``, ``NAME-2.xml`` ..., by rank; with a `rank` only that
-    set is written, to `target` itself. For MuJoCo, `slope` is the ground's [rad], and `per_leg` models four
-    single legs in space instead of two pairs in a plane; `mass` as in `numbers_for`. Raises `ExportError`
-    when the sets do not suit the simulator, or a file exists or cannot be written; old files survive.
+    set is written, to `target` itself. With `draws`, that number of draws of a fit replaces its sets.
+    For MuJoCo, `slope` is the ground's [rad], and `per_leg` models four single legs in space instead of two
+    pairs in a plane; `mass` as in `numbers_for`. Raises `ExportError` when the sets do not suit the
+    simulator, or a file exists or cannot be written; old files survive.
     """
-    sets = _sets(source)
+    sets = _sets(source, draws)
     suffix = target.suffix.lower()
     if suffix not in MODELS:
         if rank is not None or slope or per_leg:

@@ -12,7 +12,6 @@ from rich.text import Text
 
 from sysid import __version__
 from sysid.errors import CampaignError, ExportError
-from sysid.export import load_parameter_sets
 from sysid.fit.progress import LiveBlock
 from sysid.fit.stopping import stop_on_interrupt
 from sysid.journal import notice, tell
@@ -20,10 +19,11 @@ from sysid.landing.controllers import Controller, Sensing, find_controller, load
 from sysid.landing.drone import Pairing, drones
 from sysid.landing.maps import Fleets
 from sysid.parallel import executor
-from sysid.parameter_sets import ParameterSets
+from sysid.parameter_sets import DRAWS, ParameterSets
 from sysid.report.drawing import check_figure_name
 from sysid.resume import BlockStore, Computing
 from sysid.storage import check_file
+from sysid.workflows.draws import sets_or_draws
 from sysid.workflows.options import ComputeOptions, MotorOptions
 from sysid.workflows.provenance import seen_from
 
@@ -80,20 +80,23 @@ def open_fleets(
 ) -> tuple[Fleets, dict[str, object]]:
     """Return the drones of every gear file, and where their numbers come from, for the result in `out`.
 
-    Raises `SysidError` when sets cannot be used, or two gear files have one surface.
+    With draws, motors without intervals have their best set in all drones. Raises `SysidError` when sets
+    cannot be used, or two gear files have one surface.
     """
-    motor = load_parameter_sets(motors.motor)
-    loaded = [load_parameter_sets(path) for path in gears]
+    loaded = [sets_or_draws(path, motors.draws) for path in gears]
+    motor = sets_or_draws(motors.motor, motors.draws, best=True)
     fleets = paired_fleets(loaded, motor, motors.pair, [str(path) for path in gears])
     # Keys are surfaces, because fits of two surfaces may well have folders of one name.
     places = zip([fleet[0].surface for fleet in fleets], gears, loaded, strict=True)
     gear = {surface: _origin(path, sets, out) for surface, path, sets in places}
     origin = {"sysid": __version__, "pairing": motors.pair, "ideal_reversal": motors.ideal_reversal}
+    origin[DRAWS] = motors.draws
     return fleets, origin | {"gear": gear, "motor": _origin(motors.motor, motor, out)}
 
 
 def _origin(path: Path, sets: ParameterSets, out: Path | None) -> dict[str, object]:
-    source = {"file": path.name, "name": sets.name, "sets": len(sets), "nrmse": sets.nrmse.tolist()}
+    source = {"file": path.name, "name": sets.name, "sets": len(sets)}
+    source |= {} if DRAWS in sets.provenance else {"nrmse": sets.nrmse.tolist()}
     place = {} if out is None else {"from_result_folder": seen_from(out.parent, path)}
     return source | dict(sets.provenance) | place
 

@@ -9,11 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sysid.gear.model import PARAMETERS as GEAR
 from sysid.landing.design_study import DesignStudy
-from sysid.landing.outcomes import LANDED, Rules
+from sysid.landing.maps import LandingMap
+from sysid.landing.outcomes import Rules
 from sysid.landing.store import MAPS, STUDY, MapFile, read_maps, read_study
 from sysid.marks import Flag, field_hints, mark_of
+from sysid.motor.model import PARAMETERS as MOTOR
+from sysid.parameter_sets import DRAWS
 from sysid.report.cell_explorer import CellAxis, CellChart, explorer
 from sysid.report.design_figures import narrow_figures
 from sysid.report.html import (
@@ -31,7 +36,7 @@ from sysid.report.html import (
 )
 from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file, legend_entries
 from sysid.report.landing_tables import gains_table, maps_table
-from sysid.types import IntArray
+from sysid.types import FloatArray, IntArray
 from sysid.workflows.reopen import shown_from_here
 
 _SLOPE, _SPEED = ("slope", "deg"), ("touchdown speed", "m/s")
@@ -66,11 +71,11 @@ def _pictures(content: MapFile) -> Html:
     pieces = []
     key: MapLegend = {}
     for chart in content.maps:
-        safe = np.nansum([chart.share(outcome) for outcome in LANDED], axis=0).max(axis=1) >= 0.5
+        safe = np.nan_to_num(chart.landed).max(axis=1) >= chart.enough
         steepest = f"{chart.slopes_deg[safe][-1]:g}°" if safe.any() else "none"
         words = (
             f"{chart.title}: outcome of landings over touchdown speed in m/s and slope in degrees; steepest "
-            f"slope of the grid on which half of the sets come to rest within 1 m at some speed: {steepest}"
+            f"slope of the grid on which {chart.quorum} come to rest within 1 m at some speed: {steepest}"
         )
         pieces.append(picture(figure_of_file(content, key, chart), words))
     for best in content.impulses:
@@ -138,6 +143,7 @@ class _Simulate:
         common = ["--motor", str(motor)]
         common += ["--pair", "each"] if provenance["pairing"] == "each" else []
         common += ["--ideal-reversal"] if provenance["ideal_reversal"] else []
+        common += ["--draws", str(provenance[DRAWS])] if provenance.get(DRAWS) else []
         notes = tuple(
             f"{place} is not there any more: put the place of these sets into the command."
             for place in (*gears.values(), motor)
@@ -196,13 +202,34 @@ def _map_charts(content: MapFile, rules: Rules, simulate: _Simulate) -> list[Cel
             chart.title,
             CellAxis(*_SPEED, tuple(chart.speeds.tolist())),
             CellAxis(*_SLOPE, tuple(chart.slopes_deg.tolist())),
-            tuple(f"set {number}" for number, _ in enumerate(chart.sets, start=1)),
-            chart.outcome, chart.distance, chart.time,
-            simulate(chart.surface, _UP, _ACROSS, rules, *more),
+            *_landings(chart), simulate(chart.surface, _UP, _ACROSS, rules, *more),
             texts=tuple(texts),
             doubt=np.asarray(chart.uncertain.any(axis=0)) if chart.checked else None,
+            **_of_draws(chart),
         ))  # fmt: skip
     return charts
+
+
+def _landings(chart: LandingMap) -> tuple[tuple[str, ...], NDArray[np.int8], FloatArray, FloatArray]:
+    """Return names, classes, distances and times (R, n, m) of a cell: of every set, or one row for draws."""
+    if not chart.numbers:
+        names = tuple(f"set {number}" for number, _ in enumerate(chart.sets, start=1))
+        return names, chart.outcome, chart.distance, chart.time
+    means = chart.mean_distance[None], chart.mean_time[None]
+    return (f"likeliest of {len(chart.sets)} draws; means",), chart.likeliest[None], *means
+
+
+def _of_draws(chart: LandingMap) -> dict[str, Any]:
+    """Return the share of draws that land in each cell, and what decides a doubtful one."""
+    if not chart.numbers:
+        return {}
+    names, rho = chart.deciding()
+    symbols = {name: row.symbol for table in (GEAR, MOTOR) for name, row in table.items()}
+    words = [
+        f"{symbols[name]} (rank correlation {r:+.2f})" if name else ""
+        for name, r in zip(names.flat, rho.flat, strict=True)
+    ]
+    return {"share": chart.landed, "decides": np.array(words).reshape(names.shape)}
 
 
 def _study_charts(study: DesignStudy, simulate: _Simulate, provenance: Mapping[str, Any]) -> list[CellChart]:

@@ -83,6 +83,9 @@ Logs = Annotated[tuple[Path, ...], Argument("Logs, or folders of logs.", log_fil
 FitFolder = Annotated[Path, Argument("Fit folder, or its fit.h5.")]
 Sets = Annotated[Path, Argument("Fit folder, or file of parameter sets.")]
 GearSets = Annotated[Path, Argument("Fit folder or file with the gear sets.")]
+Draws = Annotated[
+    int | None, Flag("Take this many joint draws of what the data leave open, not the sets.", least=1)
+]
 Force = Annotated[bool, Flag("Replace what exists.", panel=_OUTPUT)]
 Quiet = Annotated[bool, Flag("Print neither progress nor tables.", panel=_OUTPUT)]
 Details = Annotated[bool, Flag("Print every table and what the logs showed.", panel=_OUTPUT)]
@@ -256,6 +259,7 @@ class MotorOptions:
         Flag("Give every gear set the best motor set, or gear set i the motor set i."),
     ] = "best"
     ideal_reversal: Annotated[bool, Flag("Let the motors reverse without delay.")] = False
+    draws: Draws = None
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder
-from sysid.parameter_sets import ACCUSED, ADEQUACY, KNOWN_ANYHOW, NOT_ASSESSED, ParameterSets
+from sysid.parameter_sets import ACCUSED, ADEQUACY, DRAWS, KNOWN_ANYHOW, NOT_ASSESSED, ParameterSets
 from sysid.report.explain import conclusion
 from sysid.report.fold import print_lines, print_table
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
@@ -125,9 +125,10 @@ def verdict_on(result: FitResult) -> str:
 
 
 def _print_tables(sets: ParameterSets) -> None:
-    print_table(ranked_table(sets))
+    if DRAWS not in sets.provenance:
+        print_table(ranked_table(sets))
     print_table(mean_sigma_table(sets))
-    if sets.trials:
+    if sets.trials and DRAWS not in sets.provenance:
         print_table(trial_table(sets))
     if "adequacy" in sets.provenance:
         print_table(adequacy_table(sets))

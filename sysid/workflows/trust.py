@@ -32,12 +32,14 @@ from sysid.trust.documents import (
     stating_intervals,
     write_part,
 )
+from sysid.trust.draws import STORED
 from sysid.trust.influence import Influence, influence
 from sysid.trust.least_squares import Solved
 from sysid.trust.stated import deciding
 from sysid.trust.suspects import put_on_trial
 from sysid.trust.terms import freed
 from sysid.types import FloatArray
+from sysid.workflows.draws import draw_values
 from sysid.workflows.options import TrustOptions
 from sysid.workflows.reopen import OpenedFit, open_fit
 
@@ -150,7 +152,9 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         warnings=journal.sentences(),
         seconds=time.perf_counter() - began,
     )
-    return document, _arrays(space, assessed)
+    arrays = _arrays(space, assessed)
+    values = draw_values(opened, document, {path: array for path, (array, *_) in arrays.items()}, STORED)
+    return document, {**arrays, "draws": (values, "draw, parameter", "SI")}
 
 
 def _doubtful(
@@ -184,7 +188,7 @@ def _doubtful(
         yield Finding("profile-lowered", sentence)
 
 
-def _arrays(space: SearchSpace, assessed: Assessment) -> Arrays:
+def _arrays(space: SearchSpace, assessed: Assessment) -> dict[str, tuple[FloatArray, str, str]]:
     information = assessed.linear.information
     arrays: dict[str, tuple[FloatArray, str, str]] = {
         "correlation": (information.correlation, "parameter, parameter", "1"),

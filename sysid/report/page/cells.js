@@ -62,6 +62,7 @@ for (const root of document.querySelectorAll("[data-cells]")) {
     let words = counts[lost] === all ? content.words[lost] : content.words[most];
     if (all > 1) { words += " (" + Math.max(...counts) + " of " + all + " sets)"; }
     if (chart.share) { words += "; " + Math.round(chart.share[k] / 10) + " % of the landings rest within " + content.long; }
+    if (chart.decides && chart.decides[k]) { words += "; " + chart.decides[k] + " decides"; }
     if (chart.doubt && chart.doubt[k] === "1") { words += "; half the tolerance changes a class here"; }
     text("cell", ["x", "y"].map((axis) => chart[axis].name + " " + said(axis, shown[axis])).join(", ") + ": " + words);
     find("is", "rows").replaceChildren(...chart.rows.map((name, r) => {

@@ -92,7 +92,9 @@ def study(landed, *, share=0.5, changes=None, points=None, together=False, lost=
     points = np.array([[1.0], [0.5], [2.0]][: len(landed)]) if points is None else np.array(points)
     lost = np.zeros(len(landed), dtype=np.int64) if lost is None else np.array(lost)
     means = (landed < 0.5).astype(np.int8), landed / 2, landed
-    return DesignStudy("sets", "reverse", changes, settings, points, landed, lost, *means)
+    # What does not land has flipped.
+    shares = np.stack([landed, 0.0 * landed, 1.0 - landed, 0.0 * landed], axis=1)
+    return DesignStudy("sets", "reverse", changes, settings, points, shares, lost, *means)
 
 
 def test_largest_safe_slope_and_landable_width():
@@ -152,9 +154,10 @@ def test_what_could_not_be_simulated_counts_nowhere():
     outcome = np.full((2, 4, 2, 1), Outcome.SHORT, dtype=np.int8)
     outcome[0, :2, 0, 0] = Outcome.LOST, Outcome.FLIPPED
     outcome[1, :, 1] = Outcome.LOST
-    landed, lost = shares_of(outcome)
+    shares, lost = shares_of(outcome)
     # Of four landings one is lost, one flips and two land; where all are lost nothing is known to be safe.
-    np.testing.assert_allclose(landed[:, :, 0], [[2 / 3, 1.0], [1.0, 0.0]], rtol=1e-12)
+    np.testing.assert_allclose(shares[:, 0, :, 0], [[2 / 3, 1.0], [1.0, 0.0]], rtol=1e-12)
+    np.testing.assert_allclose(shares[:, Outcome.FLIPPED, :, 0], [[1 / 3, 0.0], [0.0, 0.0]], rtol=1e-12)
     assert lost.tolist() == [1, 4]
 
 

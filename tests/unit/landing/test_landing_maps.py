@@ -143,7 +143,7 @@ def test_shares_means_and_borders():
     # 18 + 4 deg at rest, less 10 deg per m/s, less 0 to 4 deg of each set.
     assert one.steepest(0.0) == 20.0
     assert one.steepest(1.0) == 10.0
-    assert np.isnan(one.steepest(2.0, share=1.0)) or one.steepest(2.0, share=1.0) == 0.0
+    assert np.isnan(one.steepest(2.0)) or one.steepest(2.0) == 0.0
     lost = some_map()
     lost.outcome[0] = Outcome.LOST
     np.testing.assert_array_equal(lost.landed, np.mean(one.outcome[1:] <= 1, axis=0))
