@@ -40,6 +40,7 @@ from sysid.workflows.options import (
     ImpulseMapOptions,
     LandingMapOptions,
     TouchdownOptions,
+    TrustOptions,
 )
 from sysid.workflows.static_limits import limit_rows
 
@@ -205,7 +206,7 @@ def landing_map(
         _several(controllers, "controllers"), settings.rules.horizon, file=_file(controller_file),
         ideal_reversal=ideal_reversal, trigger=trigger,
     )  # fmt: skip
-    maps = landing_maps(fleets, chosen, settings, Computing(threads=threads))
+    maps = landing_maps(fleets, chosen, settings, _computing(threads))
     stated = asdict(settings) | {"controllers": [asdict(controller) for controller in chosen]}
     return LandingMaps(MapFile(maps, (), stated | {"static_limits": limits_of(fleets, chosen)}, origin))
 
@@ -243,7 +244,7 @@ def impulse_map(
         durations=_grid(durations, "durations", "s"),
     )  # fmt: skip
     impulses.check_within(settings.rules.horizon)
-    best, maps = impulse_maps(fleets, settings, impulses, Computing(threads=threads))
+    best, maps = impulse_maps(fleets, settings, impulses, _computing(threads))
     stated = asdict(settings) | {"impulses": asdict(impulses)}
     stated["static_limits"] = limits_of(fleets, after_impulses(impulses))
     return LandingMaps(MapFile(maps, best, stated, origin))
@@ -303,14 +304,14 @@ def design_study(
     changes = find_changes(vary)
     (fleet,), _ = _fleets([gear], motor, pair, ideal_reversal, draws)
     settings = python_options(
-        StudySettings, locals(), slopes_deg=_grid(slopes, "slopes", "deg"), speeds=_grid(speeds, "speeds"),
-        spread_deg=float(spread),
+        StudySettings, locals() | {"spread_deg": spread}, slopes_deg=_grid(slopes, "slopes", "deg"),
+        speeds=_grid(speeds, "speeds"),
     )  # fmt: skip
     (chosen,) = chosen_controllers(
         [controller], settings.rules.horizon, file=_file(controller_file), ideal_reversal=ideal_reversal
     )
     name = fleet[0].name.rsplit(" ", 2)[0]
-    study = study_of(name, fleet, changes, chosen, settings, Computing(threads=threads))
+    study = study_of(name, fleet, changes, chosen, settings, _computing(threads))
     assert study is not None  # nobody asks it to stop
     return DesignTable(study)
 
@@ -365,6 +366,10 @@ def _grid(given: Grid, name: str, unit: str = "1") -> tuple[float, ...]:
     if isinstance(given, list | tuple | np.ndarray):
         given = ",".join(f"{float(one)!r} {unit if unit == 'deg' else ''}" for one in given)
     return span(given, name, unit)  # type: ignore[arg-type]
+
+
+def _computing(threads: int | None) -> Computing:
+    return Computing(threads=python_options(TrustOptions, {"threads": threads}).threads)
 
 
 def _file(given: str | Path | None) -> Path | None:

@@ -7,8 +7,10 @@ that only the writer understands (the settings of a model) is an `Open` field, s
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -125,6 +127,10 @@ class _Schema(GenerateJsonSchema):
         return {"anyOf": [super().float_schema(schema), {"enum": ["NaN", "Infinity", "-Infinity"]}]}
 
 
+FileName = Annotated[str, Field(pattern=r"^[^/\\\x00]+$")]
+Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
 class Document(Part):
     """A document that is a JSON file.
 
@@ -139,6 +145,26 @@ class Document(Part):
 
     schema_: str = Field(alias="schema")
     version: int
+    # SHA-256 of the document's own text (without that SHA-256) and of the files it belongs to, by file name.
+    sha256: dict[FileName, Sha256] = Field(default_factory=dict, exclude=True)
+
+    def sealed(self, name: str, **others: str) -> bytes:
+        """Return the content of the file `name`, with its SHA-256 and that of `others` by name."""
+        text = f'{{\n  "sha256": {json.dumps({**others, name: ""})},{self.text()[1:]}'
+        return text.replace('""', f'"{hashlib.sha256(text.encode("utf-8")).hexdigest()}"', 1).encode("utf-8")
+
+    def changed(self, path: Path, content: bytes) -> str | None:
+        """Return the name of a file in the folder of `path` whose SHA-256 is another than stated here.
+
+        `content` is the document's own file, which comes first; None where nothing has changed.
+        """
+        for name, digest in sorted(self.sha256.items(), key=lambda item: item[0] != path.name):
+            file, data = path.with_name(name), content.replace(digest.encode("ascii"), b"", 1)
+            if name != path.name:
+                data = file.read_bytes() if file.is_file() else b""
+            if hashlib.sha256(data).hexdigest() != digest:
+                return name
+        return None
 
     def text(self) -> str:
         """Return the file's text."""

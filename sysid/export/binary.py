@@ -12,6 +12,7 @@ import io
 import json
 import re
 import zlib
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -19,11 +20,12 @@ from numpy.typing import NDArray
 
 from sysid.errors import ExportError
 from sysid.parameter_sets import ParameterSets, SetsMetadata, interval_columns
-from sysid.storage import FileKind, put, put_texts
+from sysid.storage import FileKind, get_texts, put, put_texts
 from sysid.types import FloatArray
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 MAT_SIGNATURE = b"MATLAB 5.0 MAT-file"
+_FILE = FileKind("sysid-parameter-sets", 1, SetsMetadata.WHAT, SetsMetadata.REMEDY, ExportError)
 _COLUMNS = ("name", "symbol", "unit", "status", "scale", "meaning", "source")
 _NUMBERS = ("nominal", "lower", "upper")
 _ARRAYS = ("values", "nrmse", "at_bound", "nrmse_by_trial")
@@ -61,7 +63,7 @@ def to_hdf5(sets: ParameterSets) -> bytes:
         put_texts(file, "channels", map(_no_nul, sets.channels))
         put_texts(file, "metadata_json", metadata.line())
 
-    return FileKind(metadata.schema_, metadata.version, metadata.WHAT, metadata.REMEDY).content(write)
+    return _FILE.content(write)
 
 
 def _no_nul(text: str) -> str:
@@ -69,13 +71,11 @@ def _no_nul(text: str) -> str:
     return text.replace("\0", "")
 
 
-def from_hdf5(data: bytes, place: object) -> ParameterSets:
+def from_hdf5(data: bytes, place: Path) -> ParameterSets:
     """Return the sets of a file that `to_hdf5` wrote; any other exception than ExportError means damage."""
-    with h5py.File(io.BytesIO(data), "r") as file:
-        text = file["metadata_json"].asstr()[()] if "metadata_json" in file else "{}"
-        metadata = SetsMetadata.parse(text, place, ExportError)
-        arrays = {key: file[key][()] for key in _ARRAYS if key in file}
-    return _assembled(metadata, arrays)
+    with _FILE.opened(place, data) as file:
+        metadata = SetsMetadata.parse(get_texts(file, "metadata_json"), place, ExportError)
+        return _assembled(metadata, {key: file[key][()] for key in _ARRAYS if key in file})
 
 
 def _assembled(metadata: SetsMetadata, arrays: dict[str, FloatArray]) -> ParameterSets:

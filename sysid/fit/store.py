@@ -3,7 +3,8 @@
 ``fit.h5`` has every number (the population of every generation, the sets, the trajectories), ``fit.json``
 the ranked sets with settings and provenance as text (the same document that ``sysid export`` writes), and
 ``summary.txt`` what a person reads first. Every command reads ``fit.h5``; ``fit.json`` is a copy for other
-programs, and a folder whose copy states other sets is refused.
+programs. It names the SHA-256 of both, as every document of trust beside it does, see `Document.sealed`; a
+folder in which either has changed is refused.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.provenance import FitDocument
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.summary import run_record, summary
-from sysid.parameter_sets import ACCUSED, INTERVALS, ParameterSets, SetsDocument, SetsMetadata, content_of
+from sysid.parameter_sets import ParameterSets, SetsDocument, SetsMetadata, content_of
 from sysid.storage import (
     FileKind,
     check_folder,
@@ -52,7 +52,7 @@ def write_fit(
     force: bool = False,
     *,
     shown: FitResult | None = None,
-    beside: Callable[[str], Mapping[str, bytes]] | None = None,
+    beside: Callable[[str], dict[str, bytes]] | None = None,
 ) -> Path:
     """Write a fit folder, whose parents are made, and return its path.
 
@@ -63,11 +63,10 @@ def write_fit(
     """
     path = Path(path)
     sets = result.parameter_sets()
-    texts = fit_texts(shown or result)
     record, metadata = run_record(result), sets.metadata().line()
     numbers = FIT_FILE.content(lambda file: _write_numbers(file, result, sets, record, metadata))
-    if beside is not None:
-        texts |= beside(hashlib.sha256(numbers).hexdigest())
+    digest = hashlib.sha256(numbers).hexdigest()
+    texts = fit_texts(shown or result, digest) | (beside(digest) if beside else {})
     with replaced_folder(path, force=force, marker="fit.h5", error_type=FitError) as folder:
         (folder / "fit.h5").write_bytes(numbers)
         for name, data in texts.items():
@@ -75,10 +74,14 @@ def write_fit(
     return path
 
 
-def fit_texts(result: FitResult) -> dict[str, bytes]:
-    """Return ``fit.json`` and ``summary.txt``, which change when intervals are known."""
+def fit_texts(result: FitResult, fit_sha256: str) -> dict[str, bytes]:
+    """Return ``fit.json`` and ``summary.txt``, which change when intervals are known.
+
+    `fit_sha256` is of the fit.h5 beside them.
+    """
     document = FitDocument(**vars(result.parameter_sets().document()))
-    return {"fit.json": document.text().encode("utf-8"), "summary.txt": summary(result).encode("utf-8")}
+    content = document.sealed("fit.json", **{"fit.h5": fit_sha256})
+    return {"fit.json": content, "summary.txt": summary(result).encode("utf-8")}
 
 
 def _write_numbers(
@@ -143,8 +146,8 @@ def _meant(path: Path) -> str:
 def read_fit(path: str | Path) -> FitResult:
     """Read a fit folder, or its ``fit.h5``.
 
-    Raises FitError when that is missing, foreign, damaged or cut off, or ``fit.json`` beside it states other
-    sets.
+    Raises FitError when that is missing, foreign, damaged or cut off, or it or ``fit.json`` beside it has
+    changed.
     """
     path = Path(path)
     file_path = path / "fit.h5" if path.is_dir() else path
@@ -159,12 +162,12 @@ def read_fit(path: str | Path) -> FitResult:
         absent = FitError(f"{path}: {lacks}; {wanted}{_meant(path)}")
         raise absent.also(FileNotFoundError)
     with FIT_FILE.opened(file_path) as file:
+        check_unchanged(file_path.parent)
         group = file["sets"]
         sets = ParameterSets.from_metadata(
             SetsMetadata.parse(get_texts(file, "metadata_json"), file_path, FitError),
             **{name: group[name][()] for name in ("values", "nrmse", "at_bound", "nrmse_by_trial")},
         )
-        _check_copy(file_path.with_name("fit.json"), sets)
         return FitResult(
             **content_of(sets),
             trials=tuple(map(_read_trial, numbered(file, "trials"))),
@@ -179,34 +182,22 @@ def read_fit(path: str | Path) -> FitResult:
         )
 
 
-def _check_copy(path: Path, sets: ParameterSets) -> None:
-    """Refuse a ``fit.json`` that does not state the `sets` of the fit.h5 beside it, or cannot be read."""
+def check_unchanged(folder: Path) -> None:
+    """Refuse a ``fit.json`` that cannot be read, or states another SHA-256 than it or fit.h5 has.
+
+    Those of the first versions state none.
+    """
+    path = folder / "fit.json"
     if not path.is_file():
         return
     remedy = "restore the file that was changed; without fit.json the folder is read as fit.h5 has it"
     try:
-        document = SetsDocument.parse(path.read_bytes(), path, FitError)
-        copy = ParameterSets.from_document(document)
-    except (FitError, OSError, ValueError, KeyError) as error:
+        content = path.read_bytes()
+        document = SetsDocument.parse(content, path, FitError)
+    except (FitError, OSError) as error:
         raise FitError(f"{str(error).removesuffix('; ' + SetsDocument.REMEDY)}; {remedy}") from error
-    # An assessment adds its intervals and accusations to fit.json; both stand in trust.json.
-    later: dict[str, object] = {INTERVALS: {}, ACCUSED: []}
-    copy, sets = (replace(each, settings={**each.settings, **later}) for each in (copy, sets))
-    for what in (
-        "kind", "name", "names", "runs", "seeds", "trials", "uses", "channels", "parameters", "settings",
-        "provenance",
-    ):  # fmt: skip
-        if getattr(copy, what) != getattr(sets, what):
-            raise FitError(f"{path}: states other {what} than fit.h5 beside it; {remedy}")
-    for what in ("values", "nrmse", "nrmse_by_trial", "at_bound"):
-        stated, kept = getattr(copy, what), getattr(sets, what)
-        if differing := np.argwhere(~((stated == kept) | (np.isnan(stated) & np.isnan(kept)))).tolist():
-            s, *place = differing[0]
-            name = f"{sets.names[place[0]]} of" if what in ("values", "at_bound") else f"{what} of"
-            raise FitError(
-                f"{path}: states {stated[s, *place]:g} for {name} set {s + 1}, where fit.h5 beside it has "
-                f"{kept[s, *place]:g}; {remedy}"
-            )
+    if name := document.changed(path, content):
+        raise FitError(f"{path}: {name} has changed since sysid wrote it (another SHA-256); {remedy}")
 
 
 def _read_stage(group: Any) -> StageHistory:

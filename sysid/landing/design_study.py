@@ -104,6 +104,8 @@ def find_changes(text: str, *, single: bool = False) -> tuple[Change, ...]:
     ``reversal_delay``, its values are added seconds in equal steps (``0ms:200ms:5``). Raises `CampaignError`
     for anything else, and for a number that is varied twice.
     """
+    if not isinstance(text, str):
+        raise CampaignError(f"nothing to vary in {text!r:.60}; give a text, for example {_ASKED[single]}")
     changes = tuple(_change(part.strip(), single) for part in text.split(",") if part.strip())
     if not changes:
         raise CampaignError(f"nothing to vary; give for example {_ASKED[single]}")

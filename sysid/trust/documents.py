@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -222,6 +222,13 @@ class LeftOutTrial(JudgedTrial):
     refit: dict[str, float]
 
 
+def _with_digests(stated: dict[str, Any]) -> dict[str, Any]:
+    """Return a document of version 1, which named the SHA-256 of two files by keys."""
+    named = {"fit.h5": "fit_sha256", f"{stated.get('part')}.h5": "arrays_sha256"}
+    kept = {key: value for key, value in stated.items() if key not in named.values()}
+    return kept | {"sha256": {name: stated[key] for name, key in named.items() if stated.get(key)}}
+
+
 class TrustPart(Document):
     """What every document of trust states."""
 
@@ -229,16 +236,15 @@ class TrustPart(Document):
     REMEDY: ClassVar[str] = "run it again"
 
     schema_: Literal["sysid-trust"] = Field(default="sysid-trust", alias="schema")
-    version: Literal[1] = 1
+    MIGRATIONS: ClassVar = {1: _with_digests}
+
+    version: Literal[2] = 2
     # Name of the file without its suffix.
     part: str
     # Name and kind of the fit.
     fit: str
     kind: str
-    # Hashes of the fit.h5 and of the document's arrays beside it (older documents lack the latter), and when
-    # it was written; all are set by `part_files`.
-    fit_sha256: str = ""
-    arrays_sha256: str = ""
+    # Time of writing, set by `part_files`.
     written: str = ""
     campaign: CampaignFile
     warnings: list[str]
@@ -248,8 +254,8 @@ class TrustPart(Document):
         """Return a document of a fit folder; None where there is none.
 
         One that names another fit.h5 or other arrays than lie beside it does not count either, and is
-        noticed. A class of one document knows its `part`. Raises FitError when the file is damaged or of
-        another version.
+        noticed. A class of one document knows its `part`. Raises FitError when the file is damaged, changed
+        or of another version.
         """
         path = folder / f"{part or cls.model_fields['part'].default}.json"
         if not path.is_file():
@@ -259,24 +265,25 @@ class TrustPart(Document):
         except OSError as error:
             raise FitError(f"{path}: cannot be read ({error}); run it again") from error
         document = cls.parse(text, path, FitError)
-        for name in ("part", "fit_sha256", "written"):
+        for name in ("part", "sha256", "written"):
             if name not in document.model_fields_set:
                 raise FitError(f"{path}: damaged or cut off ({name}: it is missing); {cls.REMEDY}")
-        for name, digest in (("fit.h5", document.fit_sha256), (f"{path.stem}.h5", document.arrays_sha256)):
-            if digest and not ((folder / name).is_file() and file_sha256(folder / name) == digest):
-                sentence = f"{path} is not used: what it says is of another {name} than lies beside it"
-                notice(
-                    "of-another-fit", f"{sentence}; restore the file that was changed, or write {path} again"
-                )
-                return None
-        return document
+        changed = document.changed(path, text)
+        if changed == path.name:
+            raise FitError(
+                f"{path}: has changed since sysid wrote it (another SHA-256); restore it, or {cls.REMEDY}"
+            )
+        if changed:
+            sentence = f"{path} is not used: what it says is of another {changed} than lies beside it"
+            notice("of-another-fit", f"{sentence}; restore the file that was changed, or write {path} again")
+        return None if changed else document
 
     def printed(self) -> dict[str, Any]:
         """Return what a command prints: all but what only the file needs."""
         return self.model_dump(exclude=_OF_THE_FILE)
 
 
-_OF_THE_FILE = {"schema_", "version", "part", "fit", "kind", "fit_sha256", "arrays_sha256", "written"}
+_OF_THE_FILE = {"schema_", "version", "part", "fit", "kind", "written"}
 
 
 class TrustDocument(TrustPart):
@@ -458,14 +465,18 @@ ARRAYS = FileKind("sysid-trust", 1, "the arrays of a trust document", "run it ag
 
 
 def write_part(
-    folder: Path, document: TrustPart, arrays: Arrays, beside: Mapping[str, bytes] | None = None
+    folder: Path,
+    document: TrustPart,
+    arrays: Arrays,
+    beside: Callable[[str], dict[str, bytes]] = lambda fit_sha256: {},
 ) -> Path:
     """Write one document and its arrays into a fit folder, in place of an earlier one.
 
-    `beside` are further files of the folder that change with it, by name. Raises FitError, with nothing
-    changed, when it cannot be written.
+    `beside` returns further files of the folder that change with it, by name, from the SHA-256 of ``fit.h5``.
+    Raises FitError, with nothing changed, when it cannot be written.
     """
-    files = part_files(document, arrays, file_sha256(folder / "fit.h5")) | dict(beside or {})
+    digest = file_sha256(folder / "fit.h5")
+    files = part_files(document, arrays, digest) | beside(digest)
     write_files({folder / name: data for name, data in files.items()}, FitError)
     return folder / f"{document.part}.json"
 
@@ -479,14 +490,11 @@ def part_files(document: TrustPart, arrays: Arrays, fit_sha256: str) -> dict[str
             put(file, path, values, axes, unit)
 
     content = ARRAYS.content(write)
-    stamp = {
-        "fit_sha256": fit_sha256,
-        "arrays_sha256": hashlib.sha256(content).hexdigest(),
-        "written": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
-    text = document.model_copy(update=stamp).text()
+    document = document.model_copy(update={"written": datetime.now(UTC).isoformat(timespec="seconds")})
+    digests = {"fit.h5": fit_sha256, f"{document.part}.h5": hashlib.sha256(content).hexdigest()}
+    name = f"{document.part}.json"
     # The arrays first: without the document, which names them, they count as not there.
-    return {f"{document.part}.h5": content, f"{document.part}.json": text.encode("utf-8")}
+    return {f"{document.part}.h5": content, name: document.sealed(name, **digests)}
 
 
 def read_arrays(folder: Path, part: str) -> dict[str, FloatArray]:

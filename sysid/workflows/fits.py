@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sysid.errors import FitError
 from sysid.fit.checkpoint import Checkpoint, glance
-from sysid.fit.store import FIT_FILE
+from sysid.fit.store import FIT_FILE, check_unchanged
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.table import listed
 from sysid.resume import in_use
@@ -49,6 +49,7 @@ def list_fits(folder: str | Path) -> list[FitEntry]:
             changed = path.stat().st_mtime
             try:
                 with FIT_FILE.opened(path) as file:
+                    check_unchanged(path.parent)
                     nrmse = float(file["sets/nrmse"][()].min())
                     state, begun = str(file.attrs["state"]), numbered(file, "runs")
                     ended = {numbered(run, "stages")[-1].attrs["stop_reason"] for run in begun}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +66,9 @@ def assess_fit(folder: Path, options: TrustOptions | None = None, say: Say = Non
         opened = open_fit(folder, options.campaign, 1 if options.dask else options.threads)
         document, arrays = assess_opened(opened, options, journal)
     # No value leaves without its interval.
-    write_part(opened.folder, document, arrays, fit_texts(stating_intervals(opened.result, document)))
+    write_part(
+        opened.folder, document, arrays, partial(fit_texts, stating_intervals(opened.result, document))
+    )
     return document
 
 

@@ -386,3 +386,41 @@ DAMAGES = (
     other_delimiter, doubled_delimiter, ragged_rows, swapped_names, other_unit, other_number,
     lost_cell, exchanged_header_rows, other_digit, many_digits, nesting,
 )  # fmt: skip
+
+
+# --- documents: TOML and JSON -------------------------------------------------------------------------------
+
+# Values that a key of a document gets; each is a value of TOML, of JSON, or of neither.
+_VALUES = (
+    "true", "[]", "{}", '""', '"nan"', "nan", "NaN", "null", "-1", "0", "1e308", "1e999", "-0.0",
+    "1" + 400 * "0", '"5 parsecs"', '"-3 g ± 300 %"', '"TODO"', "[1, 2, 3]", '[["a"]]', '"../etc/passwd"',
+    '"CON"', "1979-05-27", '"\\u0000"', '"' + 5000 * "x" + '"', "1_000", "0x10",
+)  # fmt: skip
+
+
+def other_value(log, random):
+    """A key gets another value."""
+    lines = _text(log).split("\n")
+    named = [i for i, line in enumerate(lines) if log.delimiter in line]
+    at = named[_number(random, 0, len(named))]
+    key, value = lines[at].split(log.delimiter, 1)
+    lines[at] = key + log.delimiter + _VALUES[_number(random, 0, len(_VALUES))] + "," * value.endswith(",")
+    return "\n".join(lines).encode("utf-8")
+
+
+def other_key(log, random):
+    """A key of one line is lost, doubled, misspelt, or another line's."""
+    lines = _text(log).split("\n")
+    named = [i for i, line in enumerate(lines) if log.delimiter in line]
+    a, b = (named[_number(random, 0, len(named))] for _ in range(2))
+    key, value = lines[a].split(log.delimiter, 1)
+    other = lines[b].split(log.delimiter, 1)[0]
+    new = ["", key[:-1] + "x", other, key.upper(), 100 * key][_number(random, 0, 5)]
+    lines[a] = new + log.delimiter + value
+    return "\n".join(lines + lines[a : a + 1] * _number(random, 0, 2)).encode("utf-8")
+
+
+DOCUMENT_DAMAGES = (
+    cut, flip, splash, shuffle_rows, drop_or_double_lines, nul, utf16, other_number, lost_cell,
+    exchanged_header_rows, other_digit, many_digits, nesting, other_value, other_key, other_value,
+)  # fmt: skip

@@ -61,13 +61,24 @@ def test_folder_is_a_parameter_set_source(tmp_path):
 def changed(path, change):
     document = json.loads(path.read_text(encoding="utf-8"))
     change(document)
-    path.write_text(json.dumps(document), encoding="utf-8")
+    path.write_text(json.dumps(document, indent=2), encoding="utf-8")
 
 
-def test_a_copy_that_states_other_sets_is_refused_wherever_the_fit_is_opened(tmp_path):
+CHANGES = {
+    "a value": lambda d: d["sets"][1]["values"].update(leg_axial_stiffness=9999.0),
+    "a unit": lambda d: d["parameters"][0].update(unit="furlong"),
+    "a setting": lambda d: d["settings"].update(whim=1),
+    "an interval": lambda d: d["settings"].update(intervals={}),
+    "the provenance": lambda d: d["provenance"].update(numpy="0.1"),
+    "a use": lambda d: d["trials"][0].update(use="validate"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_copy_that_has_changed_is_refused_wherever_the_fit_is_opened(tmp_path, change):
     path = write_fit(full_fit(), tmp_path / "bench")
-    changed(path / "fit.json", lambda d: d["sets"][1]["values"].update(leg_axial_stiffness=9999.0))
-    words = r"fit.json: states 9999 for leg_axial_stiffness of set 2, where fit.h5 beside it has \d"
+    changed(path / "fit.json", CHANGES[change])
+    words = r"fit.json: fit.json has changed since sysid wrote it \(another SHA-256\); restore the file that"
     for name in (".", "fit.json", "fit.h5"):
         for read in (sysid.load_parameter_sets, sysid.load_fit):
             if (read, name) != (sysid.load_fit, "fit.json"):
@@ -76,7 +87,8 @@ def test_a_copy_that_states_other_sets_is_refused_wherever_the_fit_is_opened(tmp
     # Elsewhere it is a file of sets like any other.
     copy = tmp_path / "fit.json"
     copy.write_bytes((path / "fit.json").read_bytes())
-    assert sysid.load_parameter_sets(copy)["leg_axial_stiffness"][1] == 9999.0
+    if change == "a value":
+        assert sysid.load_parameter_sets(copy)["leg_axial_stiffness"][1] == 9999.0
     (path / "fit.json").write_text("{", encoding="utf-8")
     with pytest.raises(FitError, match=r"damaged or cut off .*; restore the file that was changed"):
         read_fit(path)
@@ -84,25 +96,33 @@ def test_a_copy_that_states_other_sets_is_refused_wherever_the_fit_is_opened(tmp
     assert sysid.load_parameter_sets(path) == full_fit().parameter_sets()
 
 
-@pytest.mark.parametrize(
-    ("what", "change"),
-    [
-        ("parameters", lambda d: d["parameters"][0].update(unit="furlong")),
-        ("settings", lambda d: d["settings"].update(whim=1)),
-        ("provenance", lambda d: d["provenance"].update(numpy="0.1")),
-        ("uses", lambda d: d["trials"][0].update(use="validate")),
-    ],
-)
-def test_a_copy_that_states_another_record_is_refused(tmp_path, what, change):
+def test_a_fit_that_has_changed_is_refused(tmp_path):
+    """Texts and attributes of HDF5 have no checksums: a longer name of a trial passes its library."""
     path = write_fit(full_fit(), tmp_path / "bench")
-    changed(path / "fit.json", change)
-    with pytest.raises(FitError, match=f"fit.json: states other {what} than fit.h5 beside it; restore"):
+    with h5py.File(path / "fit.h5", "r+") as file:
+        file["trials/1"].attrs["name"] = "another drop"
+    with pytest.raises(FitError, match=r"fit.json: fit.h5 has changed since sysid wrote it"):
+        read_fit(path)
+    # The copy of an older version names no digest: all numbers are those of fit.h5.
+    changed(path / "fit.json", lambda d: d.pop("sha256"))
+    assert read_fit(path).trials[0].name == "another drop"
+
+
+@pytest.mark.parametrize(
+    "digest", [{"../fit.h5": "0" * 64}, {"fit.h5": "x"}, {"nul\0": "0" * 64}, {"": "0" * 64}]
+)
+def test_a_forged_digest_reaches_no_other_folder(tmp_path, digest):
+    path = write_fit(full_fit(), tmp_path / "bench")
+    changed(path / "fit.json", lambda d: d.update(sha256=digest))
+    with pytest.raises(FitError, match=r"damaged or cut off \(sha256"):
         read_fit(path)
 
 
 @pytest.mark.parametrize("name", ["trials/1/simulated", "sets/values", "sets/nrmse", "runs/1/stages/1/cost"])
 def test_a_flipped_bit_in_an_array_is_seen(tmp_path, name):
     path = write_fit(full_fit(), tmp_path / "bench") / "fit.h5"
+    # Without the digest of the whole file.
+    path.with_name("fit.json").unlink()
     with h5py.File(path) as file:
         chunk = file[name].id.get_chunk_info(0)
     data = bytearray(path.read_bytes())
@@ -240,6 +260,7 @@ def test_a_kill_while_writing_leaves_the_old_fit(tmp_path):
 def test_damaged_fits_are_refused(tmp_path):
     path = write_fit(full_fit(), tmp_path / "bench")
     whole = (path / "fit.h5").read_bytes()
+    (path / "fit.json").unlink()
     with pytest.raises(FitError, match=r"is not there"):
         read_fit(tmp_path / "nowhere")
     for cut in (0, 7, 100, len(whole) // 2, len(whole) - 1):
@@ -333,6 +354,7 @@ def test_a_fit_that_reaches_outside_or_promises_too_much_is_refused(tmp_path, ch
     with h5py.File(path / "fit.h5", "r+") as file:
         change(file)
     if words is None:
+        (path / "fit.json").unlink()
         assert_same(read_fit(path), full_fit())
         return
     with pytest.raises(FitError, match=f"damaged or cut off .*{words}.*; run the fit again"):

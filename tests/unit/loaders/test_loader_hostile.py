@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fakes.log_files import c3d, hdf5, notes, quaternions_of, refuses, ros_recording, small_turns, tdms
-from fakes.log_worker import Worker
+from fakes.worker import Worker
 from sysid.errors import LogError
 from sysid.loaders import isolation, load, registry
 

@@ -195,7 +195,7 @@ def test_a_part_is_read_back_until_the_fit_changes(folder):
     _write(folder, part, arrays)
     found = ValidationDocument.read(folder, part)
     assert math.isnan(found.ratio)
-    assert found.fit_sha256 == hashlib.sha256(b"a fit").hexdigest()
+    assert found.sha256["fit.h5"] == hashlib.sha256(b"a fit").hexdigest()
     assert read_arrays(folder, part)["trials/1/time"] == pytest.approx(np.arange(100.0))
     assert parts(folder) == (part,)
     (folder / f"{part}.h5").write_bytes(b"other arrays")
@@ -247,13 +247,16 @@ def test_damaged_parts_are_refused(folder):
     with pytest.raises(FitError, match="damaged or cut off"):
         TrustDocument.read(folder)
     path.write_text(exact_json.dumps({**exact_json.loads(whole), "version": 99}), encoding="utf-8")
-    with pytest.raises(FitError, match="of version 99, expected 1"):
+    with pytest.raises(FitError, match="of version 99, expected 2"):
         TrustDocument.read(folder)
-    for key in ("part", "fit_sha256", "written"):
+    for key in ("part", "sha256", "written"):
         kept = {name: value for name, value in exact_json.loads(whole).items() if name != key}
         path.write_text(exact_json.dumps(kept), encoding="utf-8")
         with pytest.raises(FitError, match=f"damaged or cut off .{key}: it is missing"):
             TrustDocument.read(folder)
+    path.write_text(whole.replace('"fit": "', '"fit": "another '), encoding="utf-8")
+    with pytest.raises(FitError, match=r"trust.json: has changed since sysid wrote it .*; restore it, or"):
+        TrustDocument.read(folder)
     (folder / "trust.h5").write_bytes(b"no HDF5")
     with pytest.raises(FitError, match="damaged or cut off"):
         read_arrays(folder, "trust")

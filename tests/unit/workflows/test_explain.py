@@ -17,6 +17,7 @@ from sysid.campaign import read_campaign
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY
 from sysid.fit.store import fit_texts, read_fit, write_fit
 from sysid.parameter_sets import ACCUSED
+from sysid.recording import file_sha256
 from sysid.report.explain import conclusion, figure_rungs, moves_table, rungs_table
 from sysid.trust.documents import ExplainDocument, FreeParameter, LadderRung, TrustDocument, write_part
 from sysid.workflows.explain import edited
@@ -255,6 +256,6 @@ def test_a_fit_that_accuses_its_campaign_is_read_again(lag):
     """An assessment writes its accusation into fit.json, and fit.h5 stays as it is."""
     fit = read_fit(lag[1])
     accused = replace(fit, settings={**fit.settings, ACCUSED: ["the trials ask for another gain"]})
-    for name, content in fit_texts(accused).items():
+    for name, content in fit_texts(accused, file_sha256(lag[1] / "fit.h5")).items():
         (lag[1] / name).write_bytes(content)
     assert read_fit(lag[1]).parameter_sets().names == fit.parameter_sets().names

@@ -87,6 +87,7 @@ def older(fit, target, change):
         file["metadata_json"] = json.dumps(stated)
     stated = json.loads((target / "fit.json").read_text(encoding="utf-8"))
     change(stated)
+    stated.pop("sha256", None)
     (target / "fit.json").write_text(json.dumps(stated), encoding="utf-8")
     return target
 

@@ -103,6 +103,8 @@ def test_no_digits_of_what_the_data_do_not_determine(lag, tmp_path, run):
     trust = json.loads((folder / "trust.json").read_text(encoding="utf-8"))
     row = next(row for row in trust["parameters"] if row["name"] == "gain")
     row |= {"verdict": "not_identifiable", "open_95": [True, True]}
+    # Else its text is refused as changed.
+    del trust["sha256"]["trust.json"]
     (folder / "trust.json").write_text(json.dumps(trust), encoding="utf-8")
     table = sysid.load_fit(folder).table
     assert math.isnan(table.loc["gain", "value"])

@@ -1,9 +1,9 @@
-"""A process that loads damaged logs under limits and says what came of each, and the handle to drive it.
+"""A process that opens damaged files under limits and says what came of each, and the handle to drive it.
 
-Outcomes: ``equal`` (as the whole log), ``noted`` (differs, with a note that the whole log has not), ``local``
-(only as many rows differ as bytes or lines were damaged), ``refused`` in one sentence, ``silent`` (differs
-and says nothing); and what must not be: ``traceback``, ``hang``, ``memory``, ``crash``, ``words`` (no short
-sentence).
+Outcomes: ``equal`` (as before the damage), ``noted`` (differs, with a note that the whole file has not),
+``local`` (only as many rows of a log differ as bytes or lines were damaged), ``refused`` in one sentence,
+``silent`` (differs and says nothing); and what must not be: ``traceback``, ``hang``, ``memory``, ``crash``,
+``words`` (no short sentence).
 """
 
 import contextlib
@@ -58,13 +58,17 @@ class Worker:
             self._process = None
 
     def outcome(self, path, whole, form, options, damaged):
-        """Return what came of loading `path` as {"outcome", "what"}.
+        """Return what came of loading the log `path`; it was `damaged` in so many bytes or lines."""
+        return self.answer("log", path, whole, form=form, options=options, damaged=damaged)
 
-        `whole` is the log before it was damaged in so many bytes or lines (`damaged`).
+    def answer(self, kind, path, whole, **more):
+        """Return what came of opening `path` as {"outcome", "what"}; `whole` is the same before its damage.
+
+        A `kind` is ``log``, ``call`` or one of `opened.READERS`.
         """
         if self._process is None:
             self._start()
-        asked = {"path": str(path), "whole": str(whole), "form": form, "options": options, "damaged": damaged}
+        asked = {"kind": kind, "path": str(path), "whole": str(whole), **more}
         self._process.stdin.write(json.dumps(asked) + "\n")
         self._process.stdin.flush()
         try:
@@ -127,7 +131,8 @@ def main():
     import warnings
     from unittest.mock import patch
 
-    from sysid.errors import SysidError
+    from fakes.opened import READERS, called, leaves
+    from sysid.errors import SysidError, SysidWarning
     from sysid.loaders import formats, isolation, load, registry, table
 
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
@@ -140,12 +145,26 @@ def main():
         resource.setrlimit(resource.RLIMIT_AS, (_status("VmSize") + 3 * BYTES,) * 2)
     wholes = {}
 
+    def opened(path, asked, whole=False):
+        """Return the content of what is opened and the notes on it."""
+        if asked["kind"] == "log":
+            form, options = asked["form"], asked["options"]
+            # Both ways of reading a table take their turn.
+            table._SMALL = 0 if path.stat().st_size % 2 else 1 << 17
+            log = load(path, format=form if whole or asked["damaged"] % 4 or options else "auto", **options)
+            return log, {*log.provenance.notes}
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always", SysidWarning)
+            content = dict(leaves(READERS[asked["kind"]](path)))
+        return content, {str(warning.message).replace(str(path), "") for warning in heard}
+
     def judged(asked):
-        path, form, options = Path(asked["path"]), asked["form"], asked["options"]
-        # Both ways of reading a table take their turn.
-        table._SMALL = 0 if path.stat().st_size % 2 else 1 << 17
+        path = Path(asked["path"])
         try:
-            log = load(path, format=form if asked["damaged"] % 4 or options else "auto", **options)
+            if asked["kind"] == "call":
+                called(*asked["call"], path)
+                return "equal", ""
+            found, notes = opened(path, asked)
         except SysidError as error:
             text, causes = str(error), []
             while error is not None:
@@ -153,17 +172,21 @@ def main():
                 error = error.__cause__
             if any(isinstance(e, MemoryError) or "bad_alloc" in str(e) for e in causes):
                 return "memory", text
-            short = text.startswith(str(path)) and len(text) <= _LONGEST and not _UNSEEN.search(text)
+            short = asked["kind"] in ("call", "checkpoint") or text.startswith(str(path))
+            short = short and len(text) <= _LONGEST and not _UNSEEN.search(text)
             return "refused" if short else "words", text[:3000]
         place = Path(asked["whole"])
-        key = place.read_bytes()
+        key = place.read_bytes() if place.is_file() else place
         if key not in wholes:
             wholes.clear()
             with patch.object(registry, "isolated", isolation.read_here):
-                wholes[key] = load(place, format=form, **options)
-        whole = wholes[key]
-        what = difference(whole, log, asked["damaged"])
-        new = set(log.provenance.notes) - set(whole.provenance.notes)
+                wholes[key] = opened(place, asked, whole=True)
+        whole, known = wholes[key]
+        if asked["kind"] == "log":
+            what = difference(whole, found, asked["damaged"])
+        else:
+            what = "" if found == whole else "values" if found.keys() == whole.keys() else "keys"
+        new = notes - known
         if what in ("", "local"):
             return what or "equal", ""
         return ("noted", str(sorted(new, key=str)[0])) if new else ("silent", what)
@@ -182,7 +205,7 @@ def main():
             import traceback
 
             outcome, what = "traceback", "".join(traceback.format_exception(error))[-1500:]
-        most = max(BYTES, TIMES * Path(asked["path"]).stat().st_size)
+        most = max(BYTES, TIMES * Path(asked["path"]).lstat().st_size)
         if _status("VmHWM") - before > most:
             outcome, what = "memory", f"{(_status('VmHWM') - before) / 1e9:.2f} GB; {outcome}: {what[:500]}"
         answers.write(json.dumps({"outcome": outcome, "what": what}) + "\n")
