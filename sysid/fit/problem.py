@@ -309,6 +309,13 @@ class Problem(ABC):
         out[count:, :stop] = of_trials
         return out
 
+    def at_stated_scale(self, cube: FloatArray) -> FloatArray:
+        """Return points (S, n) [unit cube] of the same residuals, at what a statement alone determines.
+
+        Least squares hardly moves along such a direction where it is a narrow curve.
+        """
+        return cube
+
     @property
     def base(self) -> FloatArray:
         """(n_table,) what the campaign itself knows of every parameter, else the model's default [SI]."""

@@ -159,7 +159,12 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     ``--resume``. Values of a direction that was not recorded are NaN.
     """
     campaign, bench, space = problem.campaign, problem.bench, problem.space
-    course = replace(course, sets=_at_stated_scale(problem, course.sets))
+    # A search that ends early may leave the scale anywhere.
+    cube, at_bound = problem.at_stated_scale(course.sets.cube), course.sets.at_bound.copy()
+    at_bound[:, space.columns] = space.at_bound(cube)
+    course = replace(
+        course, sets=replace(course.sets, cube=cube, values=space.full(cube), at_bound=at_bound)
+    )
     rows = averaged(space, problem.complete(course.sets.values))
     cut, band = course.cut, None
     if cut is None:
@@ -239,24 +244,6 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         settings={**circumstances, **settings},
         cut=cut,
     )
-
-
-def _at_stated_scale(problem: MotorProblem, sets: RankedSets) -> RankedSets:
-    """Return sets with k as stated: torque and speed leave the scale of k², R and L to the statement alone.
-
-    A search that ends early may leave it anywhere.
-    """
-    space, scaled = problem.space, ["winding_resistance", "winding_inductance"]
-    if not problem.one_constant or not {*scaled} <= {row.name for row in space.found}:
-        return sets
-    values, index = sets.values.copy(), space.table.index
-    stated, constant = float(space.stated["back_emf_constant"]), index["back_emf_constant"]
-    values[:, [index[name] for name in scaled]] *= (stated / values[:, [constant]]) ** 2
-    values[:, constant] = stated
-    cube = np.clip(space.encode(values[:, space.columns]), 0.0, 1.0)
-    at_bound = sets.at_bound.copy()
-    at_bound[:, space.columns] = space.at_bound(cube)
-    return replace(sets, cube=cube, values=space.full(cube), at_bound=at_bound)
 
 
 def numbers(problem: MotorProblem, rows: FloatArray) -> FloatArray:

@@ -142,7 +142,8 @@ def parameters_of(known: Mapping[str, float]) -> ParameterTable:
 
     `known` [SI] are values of the motor, of which V_ref, k_v, k_m and one torque curve count: they give the
     speed without load, and the propeller's torque and current at that speed. A value that `known` lacks is
-    the default's; curves keep their bounds, because steady points measure them.
+    the default's; curves keep their bounds, because steady points measure them. So does the edge of the dead
+    band: where a start from rest leaves it open, a wider bound lets a fit take it far beyond any real one.
     """
     default = PARAMETERS.nominal
     way = (
@@ -157,7 +158,7 @@ def parameters_of(known: Mapping[str, float]) -> ParameterTable:
         "supply_resistance": voltage / current, "dead_time_voltage": voltage,
         "viscous_damping": torque / speed, "rotor_inertia": torque / speed,
         "back_emf_constant": voltage / speed, "torque_constant": torque / current,
-        "saturation_current": current, "saturation_speed": speed, "winding_warming": current**-2,
+        "saturation_current": current, "winding_warming": current**-2,
     }  # fmt: skip
     rows = (row.scaled(float(f"{factors.get(name, 1.0):.2g}")) for name, row in PARAMETERS.items())
     return ParameterTable(rows, PARAMETERS.derived)

@@ -167,6 +167,18 @@ class MotorProblem(Problem):
         chosen = {*self.space.names, *self.campaign.parameters.fixed}
         return {*CONSTANTS} & chosen == {"back_emf_constant"} <= {*self.space.stated}
 
+    def at_stated_scale(self, cube: FloatArray) -> FloatArray:
+        """Return points with k as stated: torque and speed do not determine the scale of k², R and L."""
+        space, scaled = self.space, ["winding_resistance", "winding_inductance"]
+        if not self.one_constant or not {*scaled} <= {row.name for row in space.found}:
+            return cube
+        values = space.decode(cube)
+        constant = space.names.index("back_emf_constant")
+        stated = float(space.stated["back_emf_constant"])
+        values[:, [space.names.index(name) for name in scaled]] *= (stated / values[:, [constant]]) ** 2
+        values[:, constant] = stated
+        return np.clip(space.encode(values), 0.0, 1.0)
+
     # --- scores and signals ---------------------------------------------------------------------------------
 
     def complete(self, rows: FloatArray) -> FloatArray:

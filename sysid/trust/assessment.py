@@ -62,7 +62,8 @@ def linearize(problem: Problem, start: FloatArray, kept: FloatArray | None = Non
 
     `kept` (S, m) are the derivatives by the stated values, where they are known from a fit nearby.
     """
-    linear = _linearized(problem, np.clip(np.asarray(start, dtype=np.float64), 0.0, 1.0), kept)
+    start = problem.at_stated_scale(np.clip(np.asarray(start, dtype=np.float64), 0.0, 1.0)[None])[0]
+    linear = _linearized(problem, start, kept)
     for _ in range(_ROUNDS):
         before = linear
         solved = solve(
