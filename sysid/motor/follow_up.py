@@ -162,9 +162,7 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     # A search that ends early may leave the scale anywhere.
     cube, at_bound = problem.at_stated_scale(course.sets.cube), course.sets.at_bound.copy()
     at_bound[:, space.columns] = space.at_bound(cube)
-    course = replace(
-        course, sets=replace(course.sets, cube=cube, values=space.full(cube), at_bound=at_bound)
-    )
+    course = replace(course, sets=replace(course.sets, cube=cube, values=space.full(cube), at_bound=at_bound))
     rows = averaged(space, problem.complete(course.sets.values))
     cut, band = course.cut, None
     if cut is None:
