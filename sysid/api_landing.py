@@ -5,6 +5,7 @@ Gears and motors are sets, fits, fit folders or files, see `sysid.load_parameter
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -331,8 +332,7 @@ def static_limits(sets: Sets, thrust: float | Sequence[float] = (0.0, 12.0)) -> 
     import pandas as pd
 
     gear = sets_of(sets)
-    thrusts = [float(one) for one in np.atleast_1d(thrust)]
-    return pd.DataFrame(limit_rows(gear, thrusts, gear.name))
+    return pd.DataFrame(limit_rows(gear, _numbers(thrust, "thrust"), gear.name))
 
 
 def _fleets(
@@ -361,10 +361,20 @@ def _several(given: Any, what: str) -> Sequence[Any]:
     return given
 
 
+def _numbers(given: float | Sequence[float], what: str) -> list[float]:
+    try:
+        numbers = [float(one) for one in np.atleast_1d(given)]
+    except (TypeError, ValueError, OverflowError):
+        numbers = [math.nan]
+    if not np.isfinite(numbers).all():
+        raise CampaignError(f"{what}: expected one or more numbers, found {given!r:.60}").also(TypeError)
+    return numbers
+
+
 def _grid(given: Grid, name: str, unit: str = "1") -> tuple[float, ...]:
     """Return increasing numbers: of a text such as ``0:45:1 deg``, or as they are, in the unit."""
     if isinstance(given, list | tuple | np.ndarray):
-        given = ",".join(f"{float(one)!r} {unit if unit == 'deg' else ''}" for one in given)
+        given = ",".join(f"{one!r} {unit if unit == 'deg' else ''}" for one in _numbers(given, name))
     return span(given, name, unit)  # type: ignore[arg-type]
 
 

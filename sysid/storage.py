@@ -105,7 +105,7 @@ def write_files(files: Mapping[Path, bytes], error_type: type[SysidError] = Sysi
 
 
 def replace_file(new: Path, path: Path) -> None:
-    """Give a complete file the name of another one.
+    """Give a complete file, or a folder, its name.
 
     Windows refuses while a virus scanner or another command reads either; that passes within a second.
     """
@@ -204,15 +204,15 @@ def check_folder(
 
 def _swap(new: Path, path: Path) -> None:
     if not path.exists():
-        os.replace(new, path)
+        replace_file(new, path)
         return
     # No portable call replaces a folder that is not empty. A kill between the two renames leaves the old
     # folder whole, and the new one complete, under their temporary names.
     aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.old.", suffix=".part", dir=path.parent))
     try:
-        os.replace(path, aside / path.name)
+        replace_file(path, aside / path.name)
         try:
-            os.replace(new, path)
+            replace_file(new, path)
         except OSError:
             os.replace(aside / path.name, path)
             raise

@@ -13,6 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from fakes.places import ROOT
 
@@ -197,6 +199,14 @@ def test_contributing_lists_what_sysid_stands_on():
         *(name for extra in project["optional-dependencies"].values() for name in extra),
     ]
     names = {re.match(r"[\w-]+", text)[0] for text in stated} - {project["name"]}
+    # CI installs one version of each, at least the lowest that is allowed.
+    constraints = (ROOT / ".ci/constraints.txt").read_text(encoding="utf-8").splitlines()[1:]
+    fixed = {canonicalize_name(line.name): line for line in map(Requirement, constraints)}
+    assert all(re.fullmatch(r"==[\w.]+", str(line.specifier)) for line in fixed.values())
+    for allowed in map(Requirement, stated):
+        if allowed.name != project["name"]:
+            version = str(fixed[canonicalize_name(allowed.name)].specifier).removeprefix("==")
+            assert allowed.specifier.contains(version), allowed
     text = (ROOT / ".github/CONTRIBUTING.md").read_text(encoding="utf-8")
     table = text.partition("### What sysid stands on")[2].partition("\n### ")[0]
     rows = [row.strip("|").split("|") for row in table.splitlines() if row.startswith("| ")]

@@ -132,7 +132,9 @@ def resolve_log(campaign_path: str | Path, log: str) -> Path:
     except OSError:  # such as too long a name
         there = False
     if not there:
-        raise CampaignFileError(f"{campaign_path}: log {log!r} does not exist at {path}; correct its path")
+        raise CampaignFileError(
+            f"{campaign_path}: log {log!r:.99} does not exist in {path.parent}; correct its path"
+        )
     return path
 
 

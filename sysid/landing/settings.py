@@ -46,11 +46,12 @@ class Scenario:
 
     def __post_init__(self) -> None:
         within = abs(self.slope) < 1.5 and abs(self.pitch - self.slope) < 1.3
+        within &= max(self.speed, abs(self.horizontal_speed), abs(self.pitch_rate)) <= 100.0
         if not (all(map(math.isfinite, vars(self).values())) and within and self.speed >= 0):
             raise CampaignError(
                 f"landing: slope {math.degrees(self.slope):g} deg, speed {self.speed:g} m/s, pitch "
                 f"{math.degrees(self.pitch):g} deg; expected a slope within 85 deg, a downward speed of 0 or "
-                "more, and a body within 74 deg of the slope"
+                "more, no speed above 100 m/s or 100 rad/s, and a body within 74 deg of the slope"
             )
 
 

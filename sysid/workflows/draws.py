@@ -19,6 +19,9 @@ from sysid.trust.draws import evenly, joint_draws
 from sysid.types import FloatArray
 from sysid.workflows.reopen import OpenedFit, reopen
 
+# Largest number of draws: a hundred times what decides a map.
+_MOST = 10_000
+
 
 def draw_values(
     opened: OpenedFit, document: TrustDocument, arrays: Mapping[str, FloatArray], count: int
@@ -51,8 +54,8 @@ def drawn_sets(source: str | Path, count: int) -> ParameterSets:
     The first ones that the fit stores; of more than these, all are made again, which needs the campaign.
     Raises `FitError` where the fit has no intervals, or those of an older version.
     """
-    if count < 1:
-        raise FitError(f"{count} draws of {source}: expected 1 or more, for example 50")
+    if not (isinstance(count, int) and 1 <= count <= _MOST):
+        raise FitError(f"{count!r:.60} draws of {source}: expected 1 or more, up to {_MOST}, for example 50")
     folder = fit_folder(Path(source))
     fit = read_fit(source)
     document = TrustDocument.read(folder)

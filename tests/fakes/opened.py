@@ -23,7 +23,7 @@ from sysid.fit.checkpoint import Checkpoint
 from sysid.landing.store import read_maps, read_study
 from sysid.trust.documents import TRUST, TrustDocument, read_arrays
 from sysid.workflows.fits import list_fits
-from sysid.workflows.kinds import open_campaign
+from sysid.workflows.kinds import naming_campaign, open_campaign
 
 
 def leaves(value, place=""):
@@ -48,8 +48,10 @@ def _campaign(path):
     if campaign.kind != "lag":
         return campaign
     # Its logs are small enough to be opened each time.
-    kind, content, _ = open_campaign(path)
-    return {"campaign": content, "trials": [trial.measured for trial in kind.open(content, path, 1).trials]}
+    with naming_campaign(path):
+        kind, content, _ = open_campaign(path)
+        trials = kind.open(content, path, 1).trials
+    return {"campaign": content, "trials": [trial.measured for trial in trials]}
 
 
 def _fit(folder):
@@ -111,17 +113,17 @@ CALLS = {
     "validate": (sysid.validate, {"fit": "fit", "campaign": Path("lag.toml")}),
     "simulate_drop": (
         lambda **given: sysid.simulate_drop(_sets(GEAR), **{"slope": 0.3, "speed": 0.5, **given}),
-        {"slope": 0.3, "speed": 0.5, "rate": 1000.0, "change": "k_h=2"},
+        {"slope": 0.3, "speed": 0.5, "pitch_rate": 0.0, "rate": 1000.0, "change": "k_h=2"},
     ),
     "landing_map": (
         lambda **given: sysid.landing_map([GEAR], MOTOR, **{"check": False, **STUDY, **given}),
-        {"slopes": (10.0, 20.0), "controllers": ("off",), "pair": "best", "threads": 1},
+        {"slopes": (10.0, 20.0), "controllers": ("off",), "pair": "best", "draws": None},
     ),
     "design_study": (
         lambda **given: sysid.design_study(GEAR, MOTOR, **{"vary": "k_h=1:2:2", **STUDY, **given}),
         {"vary": "k_h=1:2:2", "share": 0.5, "spread": 0.0, "threads": 1},
     ),
-    "static_limits": (sysid.static_limits, {"sets": MOTOR, "thrust": (0.0, 12.0)}),
+    "static_limits": (sysid.static_limits, {"sets": GEAR, "thrust": (0.0, 12.0)}),
     "set_values": (lambda rank: _sets(GEAR).set_values(rank), {"rank": 1}),
     "save": (lambda path: _sets(GEAR).save(path, force=True), {"path": "sets.json"}),
 }  # fmt: skip

@@ -172,7 +172,9 @@ def main():
                 error = error.__cause__
             if any(isinstance(e, MemoryError) or "bad_alloc" in str(e) for e in causes):
                 return "memory", text
-            short = asked["kind"] in ("call", "checkpoint") or text.startswith(str(path))
+            # A campaign's log may be what is wrong.
+            place = path.parent if asked["kind"] == "campaign" else path
+            short = asked["kind"] in ("call", "checkpoint") or text.startswith(str(place))
             short = short and len(text) <= _LONGEST and not _UNSEEN.search(text)
             return "refused" if short else "words", text[:3000]
         place = Path(asked["whole"])

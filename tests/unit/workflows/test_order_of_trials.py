@@ -6,8 +6,10 @@ import shutil
 import numpy as np
 import pytest
 
+from fakes.lag_kind import write_lag
 from fakes.places import SAMPLES
 from sysid.fit.trial import name_order
+from sysid.trust.documents import TrustDocument
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.options import FitOptions
 
@@ -38,6 +40,18 @@ def test_the_order_of_trials_changes_no_bit(name, tmp_path):
     np.testing.assert_array_equal(one.nrmse, other.nrmse)
     by_trial = [{trial.name: trial.nrmse.tolist() for trial in fit.trials} for fit in fits]
     assert by_trial[0] == by_trial[1]
+
+
+def test_the_order_of_trials_changes_no_bit_of_an_interval(tmp_path):
+    path, intervals = write_lag(tmp_path, "runs = 1\npopulation = 8\nmax_generations = 2\n"), []
+    head, *trials = re.split(r"(?m)^(?=\[\[trials\]\])", path.read_text(encoding="utf-8"))
+    for order in (1, -1):
+        path.write_text("".join([head, *trials[::order]]), encoding="utf-8")
+        out = fit_campaign(path, FitOptions(out=tmp_path / f"fit{order}", **{**SMALL, "trust": True}))[1]
+        rows = TrustDocument.read(out).parameters
+        intervals.append([(row.name, row.refined, row.interval_95, row.interval_68) for row in rows])
+    assert len(intervals[0]) == 2
+    assert intervals[0] == intervals[1]
 
 
 def test_drops_are_sorted_as_people_count():
