@@ -244,7 +244,7 @@ class Judgement(Shown, Generic[Doc]):
         assert isinstance(document, ValidationDocument | CrossValidationDocument)
         rows = {
             trial.name: {"NRMSE": trial.nrmse[0], "over noise": trial.ratio}
-            | {"leaves the noise at [s]": trial.leaves.time if trial.leaves else math.nan}
+            | {"beyond noise from [s]": trial.leaves.time if trial.leaves else math.nan}
             | {"verdict": _beside_noise(trial)}
             for trial in document.trials
         }
@@ -254,7 +254,7 @@ class Judgement(Shown, Generic[Doc]):
 def _beside_noise(trial: JudgedTrial) -> str:
     if math.isnan(trial.ratio):
         return "not judged"
-    return "leaves the noise" if trial.leaves else "within the noise"
+    return "beyond the noise" if trial.leaves else "within the noise"
 
 
 class Campaign:

@@ -78,6 +78,13 @@ class Model:
         unknown = [name for name in (*validate, *(inputs or {})) if name not in trials]
         if unknown:
             raise CampaignError(f"no trial {unknown[0]!r}; there are {', '.join(trials)}").also(KeyError)
+        self.content.check_channels("weights", weights or {})
+        self.content.check_channels("noise", noise or {})
+        tables = {
+            name: self._table(name, recorded)
+            for name, recorded in trials.items()
+            if isinstance(recorded, pd.DataFrame)
+        }
         place.mkdir(parents=True, exist_ok=True)
         lines = [f"kind = {json.dumps(self.name)}", f'name = "{place.name if folder else self.name}"']
         for table, given in (("cost.weights", weights), ("noise", noise)):
@@ -89,8 +96,8 @@ class Model:
                 )
         for name, recorded in trials.items():
             log = f"{len(lines)}.csv"
-            if isinstance(recorded, pd.DataFrame):
-                write_file(place / log, self._table(name, recorded).encode("utf-8"), CampaignError)
+            if name in tables:
+                write_file(place / log, tables[name].encode("utf-8"), CampaignError)
             else:
                 log = Path(os.path.relpath(path_of(recorded, "a log"), place)).as_posix()
             lines += ["[[trials]]", f"name = {json.dumps(name)}", f"log = {json.dumps(log)}"]
@@ -115,6 +122,13 @@ class Model:
         except (TypeError, ValueError) as error:
             refusal = CampaignError(f"trial {name!r}: a column is not of numbers ({error})")
             raise refusal.also(TypeError) from None
+        have = {column.split("[")[0].strip() for column in columns}
+        if lacking := [channel for channel in self.content.channels if channel not in have]:
+            found = ", ".join(map(str, frame.columns))
+            raise CampaignError(
+                f"trial {name!r}: no column for the channel {lacking[0]!r}; found {found}; name it as the "
+                "model does"
+            ).also(KeyError)
         return pd.DataFrame(columns).to_csv(index=False)
 
 
@@ -137,7 +151,8 @@ def model(
     parameters : mapping
         ``(lower, upper, unit)`` by name, in SI. A fourth item ``"term"`` marks physics that is 0 unless
         `explain` adds it, ``"each trial"`` a number that every trial has for itself. Bounds a decade apart
-        are searched on a logarithmic scale.
+        are searched on a logarithmic scale. A campaign file states others, and fixed values, with units:
+        ``[parameters.bounds]`` ``rate = ["0.5 1/s", "20 1/s"]``, ``[parameters.fixed]`` ``rate = "3 1/s"``.
     channels : mapping
         SI unit of every compared channel, by its name in the logs.
     inputs : mapping, optional

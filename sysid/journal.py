@@ -30,7 +30,8 @@ Say = Callable[[str], None] | None
 class Finding:
     """Something noticed about an input or a result."""
 
-    # Kind of the finding in words joined by hyphens (``log-ends-early``); stable between versions.
+    # Kind of the finding in words joined by hyphens (``log-ends-early``); stable between versions. Codes of
+    # warnings are explained in templates/codes.toml.
     code: str
     # For people; it does not name the trials.
     sentence: str
@@ -134,7 +135,9 @@ class Journal:
 
     def __enter__(self) -> Self:
         # A thread that knows no journal, or a foreign loader, warns.
-        self._open.enter_context(heard_warnings(lambda sentence: self.add(Finding("warning", sentence))))
+        self._open.enter_context(
+            heard_warnings(lambda sentence: self.add(Finding("python-warning", sentence)))
+        )
         warnings.simplefilter("always", SysidWarning)
         self._open.callback(_OPEN.reset, _OPEN.set(self))
         return self
@@ -197,7 +200,8 @@ class Journal:
     def _print(self, finding: Finding) -> None:
         sentence = spoken(finding, self.trials, self.noun)
         if sentence not in self._heard:
-            self._say(f"{finding.severity}: {sentence}")
+            code = f" [{finding.code}]" if finding.severity == "warning" else ""
+            self._say(f"{finding.severity}: {sentence}{code}")
 
 
 _OPEN: ContextVar[Journal | None] = ContextVar("journal", default=None)

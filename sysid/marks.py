@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler
     from pydantic_core import CoreSchema
 
+# Heading of options that few users need.
+MORE = "More"
+# Headings of a long help that stand in `--help-all` only.
+RARE = (MORE, "Search", "Impulses", "When a landing is over")
 # Largest number of values of a grid; a slip of the pen asks for billions.
 _MOST_VALUES = 100_000
 # One of each unit in SI, for bare numbers; every other unit of a mark is an SI unit.
@@ -45,12 +49,12 @@ class Argument:
 class Flag:
     """A field that the command line takes by its name, ``--name`` of the field or one of `names`.
 
-    The user reads `help`, under the heading `panel` where a command has many options. A field with a `unit`
-    takes quantities such as ``"20 deg"``; a bare number is in that unit, but an angle needs its unit, because
-    Python's bare angles are in rad. The field's value is in SI. `least`
-    is the smallest number that is accepted, in that unit, `most` the largest whole number.
-    `read` makes the field's value from the text that
-    the user gives and the name of the option. The help shows `default`, or the field's default.
+    The user reads `help`, under the heading `panel` where a command has many options, see `RARE`. A field
+    with a `unit` takes quantities such as ``"20 deg"``; a bare number is in that unit, but an angle needs
+    its unit, because Python's bare angles are in rad. The field's value is in SI. `least` is the smallest
+    number that is accepted, in that unit, `most` the largest whole number. `read` makes the field's value
+    from the text that the user gives and the name of the option. The help shows `default`, or the field's
+    default.
     """
 
     def __init__(

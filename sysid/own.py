@@ -11,7 +11,7 @@ import ctypes
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -104,12 +104,16 @@ class OwnModel:
         terms = tuple(Term(name.replace("_", " "), (name,)) for name in self.terms)
         return Kind(self.name, OwnCampaign, self._open, begin=_begin, terms=terms)
 
+    def check_channels(self, where: str, names: Iterable[str]) -> None:
+        """Refuse names that are not channels; CampaignError says `where` they stand."""
+        for name in names:
+            if name not in self.channels:
+                known = ", ".join(self.channels)
+                raise CampaignError(f"{where}: no channel {name!r}; {self.name} has {known}")
+
     def _open(self, campaign: OwnCampaign, path: Path, threads: int | None) -> OwnProblem:
-        for what, names in (("cost.weights", campaign.cost.weights), ("noise", campaign.noise)):
-            for name in names:
-                if name not in self.channels:
-                    known = ", ".join(self.channels)
-                    raise CampaignError(f"{what}: no channel {name!r}; {self.name} has {known}")
+        self.check_channels("cost.weights", campaign.cost.weights)
+        self.check_channels("noise", campaign.noise)
         logs = tuple(self._log(campaign, entry, path) for entry in campaign.trials)
         rows, drawn = [], sorted((log.name for log in logs), key=name_order)
         for row in self.table.values():

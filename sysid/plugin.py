@@ -9,6 +9,9 @@ from pathlib import Path
 
 from sysid.errors import CampaignError, SysidError
 
+# Files that --plugin names, which the next commands need as well.
+NAMED: list[Path] = []
+
 
 def run_file(path: Path, which: str) -> None:
     """Run a user's Python file `which` registers something; CampaignError where it cannot be run."""

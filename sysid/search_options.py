@@ -84,6 +84,6 @@ class SearchOptions(CampaignSearch):
         Flag(
             "End the fit and its intervals after this time, as in 20min, and keep its result.",
             read=seconds,
-            panel=_PANEL,
+            panel="Computing",
         ),
     ] = None

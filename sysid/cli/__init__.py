@@ -1,8 +1,8 @@
 """The command line: options in, one call, one table out.
 
-A refusal is one sentence on standard error and exit code 2. An exception that nobody foresaw is one as well,
-with exit code 1, and its trace is in a file. ``--debug`` shows the traceback instead. A reader that closes
-the pipe, as ``head`` does, ends a command in silence.
+A refusal is one sentence on standard error and exit code 2, of a wrong option too. An exception that nobody
+foresaw is one as well, with exit code 1, and its trace is in a file. ``--debug`` shows the traceback instead.
+A reader that closes the pipe, as ``head`` does, ends a command in silence.
 """
 
 from __future__ import annotations
@@ -13,6 +13,9 @@ import sys
 import tempfile
 import traceback
 from contextlib import suppress
+from typing import Any
+
+import typer
 
 from sysid.cli.root import CLOSED_PIPE, app, say
 from sysid.errors import SysidError, printable
@@ -20,6 +23,10 @@ from sysid.journal import heard_warnings
 
 # The modules register their commands when they are imported, in the order of `sysid --help`.
 from sysid.cli import logs, fits, landing  # noqa: F401  # isort: skip
+
+
+# What a wrong command line raises; newer versions of typer have a click of their own.
+_UsageError: Any = typer.BadParameter.__mro__[1]
 
 
 def main() -> None:
@@ -36,10 +43,12 @@ def main() -> None:
     refusal = ""
     try:
         with heard_warnings(lambda sentence: say(f"warning: {sentence}")):
-            app()
+            code = app(prog_name="sysid", standalone_mode=False) or 0
     except SystemExit as stop:
         # click answers a closed pipe with code 1.
         code = CLOSED_PIPE if isinstance(stop.__context__, BrokenPipeError) else stop.code
+    except _UsageError as error:
+        code, refusal = 2, _misused(error)
     except SysidError as error:
         if debug:
             raise
@@ -66,6 +75,16 @@ def main() -> None:
         with suppress(OSError):
             say(f"error: {' '.join(refusal.split())}")
     sys.exit(code)
+
+
+def _misused(error: Any) -> str:
+    """Return what is wrong with a command line; a program without arguments shows its help."""
+    if "\n" in error.message:
+        error.show()
+        return ""
+    words = error.format_message().replace(". Did you mean", ", did you mean").rstrip(".?")
+    where = error.ctx.command_path if error.ctx else "sysid"
+    return f"{words[0].lower()}{words[1:]}; {where} -h says more"
 
 
 def _unwritten(error: Exception) -> str:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import inspect
 import re
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext, redirect_stdout
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum, StrEnum
 from pathlib import Path
@@ -19,24 +21,23 @@ import typer
 from typer.core import TyperCommand
 
 from sysid.interrupt import heard_interrupts
-from sysid.marks import Argument, Flag, field_hints, field_values, mark_of
-from sysid.plugin import run_file
+from sysid.marks import MORE, RARE, Argument, Flag, field_hints, field_values, mark_of
+from sysid.plugin import NAMED, run_file
+from sysid.workflows.options import Quiet
 
 Run = Callable[..., int | None]
 
 
-_LAST, _DEFAULT = ("Output", "Computing"), re.compile(r"\[default: \(([^)]*)\)")
+_LAST, _DEFAULT = ("Output", "Computing", MORE), re.compile(r"\[default: \(([^)]*)\)")
 # Words of the help for a value by its type; a choice lists its own.
 _VALUES = {Path: "PATH", str: "TEXT", int: "NUMBER", float: "NUMBER"}
 # An example that is longer goes on in the next line [characters].
 _LINE = 74
 # A command with more options shows them under the headings that their declarations name.
 _MANY = 8
-# Every command takes Python files with models of a user; `sysid --help` says so once.
-_PLUGIN = inspect.Parameter(
-    "plugin", inspect.Parameter.KEYWORD_ONLY, default=None,
-    annotation=Annotated[list[Path] | None, typer.Option("--plugin", hidden=True)],
-)  # fmt: skip
+# Largest number of options in a help; the rare ones of a longer list stand in `--help-all`.
+_MOST = 12
+_ALL = "--help-all"
 
 
 class Command(TyperCommand):
@@ -44,8 +45,9 @@ class Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the command line; typer calls this. A refusal loses the prefix of pydantic."""
+        ctx.meta[_ALL] = _ALL in args
         try:
-            return super().parse_args(ctx, args)
+            return super().parse_args(ctx, ["--help"] if _ALL in args else args)
         except typer.BadParameter as error:
             error.message = error.message.removeprefix("Value error, ")
             raise
@@ -53,19 +55,31 @@ class Command(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options; typer calls this."""
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        several = sum(param.param_type_name == "option" for param in self.params) > _MANY
-        for param in self.get_params(ctx):
-            group = "Arguments" if param.param_type_name == "argument" else "Options"
+        every = self.get_params(ctx)
+        options = [param for param in every if param.param_type_name == "option"]
+        rare: list[Any] = []
+        if len(options) > _MOST and not ctx.meta.get(_ALL):
+            rare = [param for param in options if getattr(param, "rich_help_panel", None) in RARE]
+        several = len(options) > _MANY
+        for param in every:
+            if param in rare:
+                continue
+            group = "Arguments" if param not in options else "Options"
             panel: str | None = getattr(param, "rich_help_panel", None)
             if several and panel:
                 group = panel
             if record := param.get_help_record(ctx):
                 groups.setdefault(group, []).append(record)
-        for group in sorted(groups, key=_LAST.__contains__):
+        for group in sorted(groups, key=lambda name: _LAST.index(name) if name in _LAST else -1):
             if rows := groups[group]:
                 with formatter.section(group):
                     # click puts brackets around a default that is a text.
                     formatter.write_dl([(name, _DEFAULT.sub(r"[default: \1", help)) for name, help in rows])
+        if rare:
+            with formatter.section(f"{len(rare)} more, which {_ALL} explains"):
+                names = ", ".join(max(param.opts, key=len) for param in rare)
+                lines = textwrap.wrap(names, formatter.width - 2, break_on_hyphens=False)
+                formatter.write("".join(f"  {line}\n" for line in lines))
 
 
 def command(app: typer.Typer, name: str, example: str, alias: str = "") -> Callable[[Run], Run]:
@@ -80,15 +94,24 @@ def command(app: typer.Typer, name: str, example: str, alias: str = "") -> Calla
         hints = get_type_hints(run, include_extras=True)
         defaults = {p.name: p.default for p in inspect.signature(run).parameters.values()}
         hints.pop("return")
+        # Every command has the option; what is printed is silenced here, and a command asks for its progress.
+        asks = any(one.name == "quiet" for one in _parameters(hints, defaults))
+        if not asks:
+            hints["quiet"], defaults["quiet"] = Quiet, False
 
         def call(plugin: list[Path] | None = None, **given: object) -> None:
-            for file in plugin or ():
+            NAMED[:] = plugin or ()
+            for file in NAMED:
                 run_file(file, "that calls sysid.model")
             # An option that the user leaves out keeps the default of the dataclass or function.
             stated = {name: value for name, value in given.items() if value is not None}
+            values = field_values(hints, stated, _value)
+            mute = stated.get("quiet") and not stated.get("json")
+            if not asks:
+                values.pop("quiet", None)
             try:
-                with heard_interrupts():
-                    code = run(**field_values(hints, stated, _value))
+                with heard_interrupts(), redirect_stdout(None) if mute else nullcontext():
+                    code = run(**values)
             except KeyboardInterrupt:
                 # typer would end without a word.
                 typer.echo("stopped by the user", err=True)
@@ -97,7 +120,15 @@ def command(app: typer.Typer, name: str, example: str, alias: str = "") -> Calla
                 raise typer.Exit(code)
 
         call.__doc__ = run.__doc__
-        parameters = [*_parameters(hints, defaults), _PLUGIN]
+        option = typer.Option(
+            "--plugin", help="Python file with a model of your own.", metavar="FILE.py",
+            rich_help_panel=None if name == "fit" else MORE,
+        )  # fmt: skip
+        plugin = inspect.Parameter(
+            "plugin", inspect.Parameter.KEYWORD_ONLY, default=None,
+            annotation=Annotated[list[Path] | None, option],
+        )  # fmt: skip
+        parameters = [*_parameters(hints, defaults), plugin]
         call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         call.__annotations__ = {p.name: p.annotation for p in parameters}
         epilog = f"\b\nExample:\n  {_folded(example)}"

@@ -77,8 +77,7 @@ def _fit(
 
     tell = unless(options.quiet)
     result, folder = fit(campaign, replace(options, quiet=options.quiet or json), say=tell)
-    if json or not options.quiet:
-        print_fit(result, folder, json, options.details)
+    print_fit(result, folder, json, options.details)
     if result.provenance.get("cut_short") == "interrupted":
         return 130
     return FLAGGED if strict and is_unfinished(result) else 0
@@ -104,8 +103,7 @@ def check(
     document = check_campaign(
         campaign, surface=surface, threads=threads, say=unless(quiet or json), details=details
     )
-    if json or not quiet:
-        print_check(document, json, details=details)
+    print_check(document, json, details=details)
     return FLAGGED if document.withheld else 0
 
 
@@ -125,15 +123,16 @@ def trust(
     from sysid.workflows.trust import assess_fit
 
     document = assess_fit(fit, options, unless(quiet or json))
-    if json or not quiet:
-        print_trust(document, fit, json, long=details)
+    print_trust(document, fit, json, long=details)
 
 
-@command(app, "validate", "sysid validate fits/demo/gear-lf data_samples/gear-lf")
+@command(app, "validate", "sysid validate fits/demo/gear-lf data_samples/gear-lf", alias="cross-validate")
 def validate(
     fit: FitFolder,
-    campaign: OtherCampaign = None,
+    other: OtherCampaign = None,
+    campaign: FitCampaign = None,
     threads: Threads = None,
+    dask: Dask = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
@@ -148,34 +147,11 @@ def validate(
 
     say = unless(quiet or json)
     document = (
-        cross_validate(fit, threads=threads, say=say)
-        if campaign is None
-        else validate_fit(fit, campaign, threads=threads, say=say)
+        cross_validate(fit, campaign, threads=threads, dask=dask, say=say)
+        if other is None
+        else validate_fit(fit, other, threads=threads, say=say)
     )
-    if json or not quiet:
-        print_validation(document, fit, json)
-    return FLAGGED if document.flagged else 0
-
-
-@command(app, "cross-validate", "sysid cross-validate fits/demo/gear-lf")
-def cross_validate(
-    fit: FitFolder,
-    campaign: FitCampaign = None,
-    threads: Threads = None,
-    dask: Dask = None,
-    quiet: Quiet = False,
-    json: Json = False,
-) -> int:
-    """Leave out each trial in turn, fit the rest, predict it.
-
-    The exit code is 3 where a prediction is flagged.
-    """
-    from sysid.report.trust_tables import print_validation
-    from sysid.workflows.predict import cross_validate as leave_out
-
-    document = leave_out(fit, campaign, threads=threads, dask=dask, say=unless(quiet or json))
-    if json or not quiet:
-        print_validation(document, fit, json)
+    print_validation(document, fit, json)
     return FLAGGED if document.flagged else 0
 
 
@@ -200,7 +176,7 @@ def compare(
 
     compare_and_print(
         fits, cross=cross, page=out if report else None, threads=threads, force=force,
-        say=unless(quiet or json), json=json, quiet=quiet,
+        say=unless(quiet or json), json=json,
     )  # fmt: skip
 
 
@@ -226,7 +202,7 @@ def explain(
 
     explain_and_print(
         fit, campaign, adopt=adopt, figure=figure, force=force, threads=threads, json=json,
-        quiet=quiet, say=unless(quiet or json),
+        say=unless(quiet or json),
     )  # fmt: skip
 
 
@@ -246,16 +222,22 @@ def report(
     print_report(result, options, json, unless(quiet or json))
 
 
-@command(app, "show", "sysid show fits/demo/gear-lf")
-def show(fit: Sets, json: Json = False) -> None:
-    """Print the sets of a fit, or the fits of a folder."""
+@command(app, "show", "sysid show fits/demo/gear-lf", alias="fits")
+def show(
+    source: Annotated[Path, Argument("Fit folder, file of sets, or folder with fits in it.")] = Path("fits"),
+    json: Json = False,
+) -> None:
+    """Print the sets of a fit, or the fits of a folder.
+
+    A folder is listed with the state, NRMSE and age of each fit in it.
+    """
     from sysid.workflows.fits import list_fits, print_fits
     from sysid.workflows.show import print_sets
 
-    if fit.is_dir() and not (fit / "fit.h5").is_file() and list_fits(fit):
-        print_fits(fit, json)
+    if source.is_dir() and not (source / "fit.h5").is_file() and (fits := list_fits(source)):
+        print_fits(fits, json)
     else:
-        print_sets(fit, json)
+        print_sets(source, json)
 
 
 @command(app, "export", "sysid export fits/demo/motor --for gazebo --mass '1.2 kg'")
@@ -287,14 +269,15 @@ def export(
     )
 
 
-@command(app, "fits", "sysid fits")
-def fits(
-    folder: Annotated[Path, Argument("Folder with fits in it.")] = Path("fits"), json: Json = False
+@command(app, "codes", "sysid codes not-explained")
+def codes(
+    code: Annotated[str | None, Argument("Code behind a warning. Without it, all codes.")] = None,
+    json: Json = False,
 ) -> None:
-    """List the fits of a folder: state, NRMSE, age."""
-    from sysid.workflows.fits import print_fits
+    """Say what the code behind a warning means, and what to do."""
+    from sysid.workflows.codes import print_codes
 
-    print_fits(folder, json)
+    print_codes(code, json)
 
 
 @command(app, "schema", "sysid schema trust")

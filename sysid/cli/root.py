@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 import textwrap
@@ -17,9 +18,9 @@ from sysid.errors import printable
 # The commands in the order of work; `sysid --help` lists them so.
 GROUPS = {
     "Start": ("demo", "new-campaign", "synthesize"),
-    "Look": ("inspect", "convert", "formats", "reversal-time"),
-    "Fit": ("check", "fit", "fit-motor", "fit-gear", "fits", "show", "report"),
-    "Trust": ("trust", "validate", "cross-validate", "compare", "explain"),
+    "Look": ("inspect", "convert", "formats", "reversal-time", "codes"),
+    "Fit": ("check", "fit", "fit-motor", "fit-gear", "show", "report"),
+    "Trust": ("trust", "validate", "compare", "explain"),
     "Use": (
         "export", "simulate", "static-limits", "landing-map", "impulse-map", "design-study", "schema",
     ),
@@ -32,7 +33,7 @@ EXIT_CODES = {
     0: "done",
     1: "a bug of sysid; the line names the file with its trace",
     2: "refused: one sentence says what, where, and what to do next",
-    FLAGGED: "flagged by check, validate or cross-validate; an unfinished fit with --strict",
+    FLAGGED: "flagged by check or validate; an unfinished fit with --strict",
     130: "stopped with Ctrl-C or SIGTERM",
     CLOSED_PIPE: "the reader of a pipe closed it",
 }
@@ -98,6 +99,8 @@ def say(sentence: str) -> None:
     text = printable(sentence)
     if sys.stderr.isatty():
         text = textwrap.fill(text, shutil.get_terminal_size().columns, break_on_hyphens=False)
+        # The code of a warning, which `sysid codes` explains, is dim.
+        text = re.sub(r"\[[a-z0-9-]+\]$", lambda code: typer.style(code[0], dim=True), text)
     typer.echo(text, err=True)
 
 

@@ -64,8 +64,9 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
     # A fit has one truth, whichever of its files is named.
     beside = file.with_name("fit.h5")
     of_fit = file.name in ("fit.h5", "fit.json") and beside.is_file()
-    if file.is_dir() or (of_fit and schema_of(beside, ExportError) == FIT_FILE.schema):
-        folder = file if file.is_dir() else file.parent
+    folder = file.parent if of_fit else file
+    missing = not (file.suffix or file.exists())
+    if file.is_dir() or missing or (of_fit and schema_of(beside, ExportError) == FIT_FILE.schema):
         return with_intervals(read_judged_fit(folder), folder).parameter_sets()
     try:
         data = file.read_bytes()

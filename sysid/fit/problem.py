@@ -327,7 +327,7 @@ class Problem(ABC):
 
         `values` (S, n) of the fit's parameters may replace its sets.
 
-        The one rule of every prediction (`validate`, `cross-validate`, `compare`, `report --against`):
+        The one rule of every prediction (`validate`, `compare`, `report --against`):
 
         * A parameter that the fit has found keeps the fit's value. So does a value that was stated with an
           error, unless this campaign states another number than the fit's.

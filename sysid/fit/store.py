@@ -140,6 +140,8 @@ def _meant(path: Path) -> str:
     found += [file for file in place.glob("*.h5") if file != path]
     found.sort(key=lambda one: (-SequenceMatcher(None, one.stem, path.stem).ratio(), one))
     names = [shlex.quote(str(one)) for one in found[:3]]
+    if not names and (path / "campaign.toml").is_file():
+        return f"; fit its campaign first: sysid fit {shlex.quote(str(path))}"
     return f"; did you mean {' or '.join(names)}?" if names else ""
 
 

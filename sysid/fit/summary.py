@@ -48,7 +48,7 @@ def run_record(result: FitResult) -> dict[str, Any]:
 
 
 def failures(run: RunHistory) -> str:
-    """Return how many candidates of a run failed, and of what: ``3 failed: 2 blew up, 1 never touched``."""
+    """Return how many candidates of a run failed, and of what: ``3 failed: 2 diverged, 1 never touched``."""
     by_cause = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in run.failures.items())
     return f"{int(run.failed.sum())} failed" + (f": {by_cause}" if by_cause else "")
 

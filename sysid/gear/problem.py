@@ -65,7 +65,7 @@ CONSTANTS = ("gravity", "leg_mass_fraction", "slip_regularization", *PARAMETERS.
 NEVER_IN_DROPS = ("thrust_point_dx",)
 # Causes of a lost drop, in the order in which a candidate with several of them is counted. Too expensive: a
 # contact or leg that is too stiff, or (on high friction mostly) too many bounces and mode switches.
-CAUSES = ("blew_up", "too_expensive", "step_collapsed", "never_touched", "left_the_board")
+CAUSES = ("diverged", "too_expensive", "step_collapsed", "never_touched", "left_the_board")
 _OF_STATUS = {Status.BLEW_UP: 1, Status.TOO_EXPENSIVE: 2, Status.STEP_COLLAPSED: 3}
 _NEVER_TOUCHED, _LEFT_BOARD = 4, 5
 # Way from the touchdown, in lengths of the board, beyond which a body has left it: where the window ends, a
@@ -76,7 +76,7 @@ _BEYOND_BOARD = 1.05
 @cache
 def prepare_kernel(law: str) -> None:
     """Compile or load a law's kernel, once per process, and say so before: it may take a minute."""
-    tell_of_kernel(f"the {law} kernel")
+    tell_of_kernel(f"the kernel of friction law {law}")
     prepare(law)
 
 
@@ -124,7 +124,7 @@ def on_surface(campaign: GearCampaign, law: str) -> tuple[GearCampaign, tuple[Fi
     surface = campaign.surface.model_copy(update={**dict.fromkeys(of_surface), "law": law})
     changed = {"surface": surface, "parameters": choices.model_copy(update=tables)}
     ignored = ", ".join(name for name in PARAMETERS if name in stated & of_surface)
-    sentence = f"surface {law}: ignoring {ignored}, which the campaign states for law {campaign.surface.law}"
+    sentence = f"friction law {law}: ignoring {ignored}, which the campaign states for {campaign.surface.law}"
     findings = (Finding("other-law", sentence),) if ignored else ()
     return campaign.model_copy(update=changed), findings
 

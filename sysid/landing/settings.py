@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 
 from sysid.errors import CampaignError
 from sysid.landing.outcomes import Rules
-from sysid.marks import Flag, degrees, grid_flag
+from sysid.marks import MORE, Flag, degrees, grid_flag
 
 # Bound of the weighted rms error per step. Landings bounce and are chaotic near the borders between classes:
 # `sysid.landing.maps` repeats a map with half of it and marks the cells that change.
@@ -26,8 +26,8 @@ SPEEDS = tuple(round(0.05 * step, 2) for step in range(41))
 IDLE_COMMAND = 0.1
 IMPULSE_COMMAND = 0.8
 
-Pitch = Annotated[float, Flag("Pitch at touchdown, positive down-slope.", unit="deg")]
-Drift = Annotated[float, Flag("Horizontal speed at touchdown, positive down-slope.", unit="m/s")]
+Pitch = Annotated[float, Flag("Pitch at touchdown, positive down-slope.", unit="deg", panel=MORE)]
+Drift = Annotated[float, Flag("Horizontal speed at touchdown, positive down-slope.", unit="m/s", panel=MORE)]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Scenario:
     slope: Annotated[float, Flag("Slope of the surface.", unit="deg")]
     speed: Annotated[float, Flag("Vertical touchdown speed.", unit="m/s", least=0)]
     pitch: Pitch = 0.0
-    pitch_rate: Annotated[float, Flag("Pitch rate at touchdown.", unit="rad/s")] = 0.0
+    pitch_rate: Annotated[float, Flag("Pitch rate at touchdown.", unit="rad/s", panel=MORE)] = 0.0
     horizontal_speed: Drift = 0.0
 
     def __post_init__(self) -> None:
@@ -79,7 +79,12 @@ class MapSettings:
     rules: Rules = field(default_factory=Rules)
     tolerance: float = LANDING_TOLERANCE
     check: Annotated[
-        bool, Flag("Repeat landings at half the tolerance to mark uncertain cells.", "--repeat/--no-repeat")
+        bool,
+        Flag(
+            "Repeat landings at half the tolerance to mark uncertain cells.",
+            "--repeat/--no-repeat",
+            panel=MORE,
+        ),
     ] = True
     pitch: float = 0.0
     horizontal_speed: float = 0.0
@@ -205,7 +210,9 @@ class StudySettings:
     speeds: Annotated[
         tuple[float, ...], grid_flag("--speeds", "0.3,0.6,0.9,1.2", "Touchdown speeds", "m/s")
     ] = (0.3, 0.6, 0.9, 1.2)
-    share: Annotated[float, Flag("A slope is safe where this share of landings rests within --long.")] = 0.5
+    share: Annotated[
+        float, Flag("A slope is safe where this share of landings rests within --long.", panel=MORE)
+    ] = 0.5
     spread_deg: Annotated[
         float,
         Flag(
@@ -213,9 +220,10 @@ class StudySettings:
             "--spread",
             read=degrees,
             default="0",
+            panel=MORE,
         ),
     ] = 0.0
-    together: Annotated[bool, Flag("Vary two parameters on a grid and draw a map.")] = False
+    together: Annotated[bool, Flag("Vary two parameters on a grid and draw a map.", panel=MORE)] = False
     rules: Rules = field(default_factory=Rules)
     tolerance: float = LANDING_TOLERANCE
 

@@ -135,7 +135,7 @@ def next_step(
         if row.lost
     ]
     if not predicted:
-        return f"run `sysid cross-validate {folder}`: how well it predicts is not known yet."
+        return f"run `sysid validate {folder}`: how well it predicts is not known yet."
     if lost:
         return f"use the sets: `sysid export {folder}` writes them. {'; '.join(lost)}."
     if judged.get("verdict") == ROUGHLY_BY:

@@ -114,7 +114,8 @@ def rungs_table(document: ExplainDocument) -> Table:
         ),
         "NRMSE, misfit: over noise; misfit: root mean square over the channels, of "
         f"{_left_out(document)} as the fit of the others predicts it, and mean over all; gain: the share of "
-        f"it that goes; chance: {'; '.join(chances)}, for all terms looked at{simpler}",
+        f"it that goes; chance: {'; '.join(chances)}, for all terms looked at{simpler}; "
+        "keep: whether the term belongs into the model, and what is accused",
     )  # fmt: skip
 
 

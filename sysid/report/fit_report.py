@@ -241,7 +241,7 @@ class FitReport:
     def answer(self) -> Html:
         """Return what a reader wants first: one word, three figures, the next step; warnings by finding."""
         predicted = predicted_over_noise(
-            self.validations, self.known.held_out, f"sysid cross-validate {self.folder}"
+            self.validations, self.known.held_out, f"sysid validate {self.folder}"
         )
         tiles = (
             over_noise(self.fit),

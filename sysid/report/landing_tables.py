@@ -48,9 +48,18 @@ def maps_table(counts: Sequence[Mapping[str, Any]]) -> Table:
         )
         for entry in counts
     ]
-    heads = ("map", *(f"{speed:g}" for speed in counts[0]["speeds"]), "time [s]", "way [m]", "doubt [%]")
+    heads = (
+        "map",
+        *(f"{speed:g}" for speed in counts[0]["speeds"]),
+        "time [s]",
+        "distance [m]",
+        "uncertain [%]",
+    )
     return listed(
-        f"Steepest slope [deg] that {counts[0]['quorum']} land on, by touchdown speed [m/s]", rows, heads
+        f"Steepest slope [deg] that {counts[0]['quorum']} land on, by touchdown speed [m/s]",
+        rows,
+        heads,
+        "time, distance: mean from touchdown to rest; uncertain: cells that half the tolerance changes",
     )
 
 

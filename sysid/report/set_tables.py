@@ -201,7 +201,7 @@ def adequacy_table(sets: ParameterSets) -> Table:
         f"{sets.name}: residual of the best set over the noise",
         rows,
         ("trial", *(channel_symbol(row["name"]) for row in channels)),
-        "1: noise alone, after what errors of the measured inputs (curves, tares, starts) explain; "
+        "1: noise alone, after what errors of the measured inputs explain; "
         "autocorrelation: of one residual with the next, 0 for noise",
         {len(rows) - 2},
     )

@@ -53,6 +53,10 @@ _UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "spe
 _TELLS = 0.2
 TONES: dict[str, Tone] = {"well": "good", "weakly": "doubtful"}
 AT_BOUND = "* the best set ends at a bound of the search"
+_STOP = (
+    "stop: where (down-slope) and when the body comes to rest, or its log or board ends, since the first "
+    "touchdown; ± is the standard deviation over the sets and of the start; the NRMSE alone is flagged"
+)
 _OPEN = "≤ or ≥: open, the data do not end the interval inside the bounds of the search"
 
 
@@ -100,7 +104,7 @@ def answer_table(sets: ParameterSets) -> Table:
 
 
 def interval_table(document: TrustDocument) -> Table:
-    """Return Table II with what the data leave open: value, mean ± σ of the sets, interval, verdict."""
+    """Return Table II with what the data leave open: best set, interval, verdict."""
     rows = document.parameters
 
     def best(row: FreeParameter) -> str:
@@ -114,7 +118,6 @@ def interval_table(document: TrustDocument) -> Table:
         (
             _PARAMETER,
             numbers("best set", best),
-            numbers("mean ± σ of the runs", lambda r: mean_sigma(None if r.lost else (r.mean, r.sigma))),
             numbers("95 % interval", attrgetter("interval")),
             numbers("half-width", lambda row: half_width(row.half_width), "%"),
             _VERDICT,
@@ -148,7 +151,8 @@ def stated_table(document: TrustDocument) -> Table | None:
             numbers("fitted ± error", lambda row: shown(row, row.fitted, row.sigma)),
             words("errors apart", lambda r: Cell(f"{r.pull:+.1f}", "bad" if r.contradicted else "")),
         ),
-        "errors are one standard deviation; places are relative to the stated ones",
+        "error: one standard deviation; errors apart: fitted less stated, in stated errors; "
+        "dx and dz: from what the campaign states",
     )
 
 
@@ -206,7 +210,7 @@ def noise_table(document: TrustDocument) -> Table:
             numbers("samples", lambda row: str(row.samples)),
             numbers("independent", lambda row: f"{row.independent_samples:.0f}"),
         ),
-        "the verdict on a fit leaves out what errors of the measured inputs (curves, tares, starts) explain",
+        "the verdict on a fit leaves out what errors of the measured inputs explain",
     )
 
 
@@ -277,14 +281,14 @@ def validation_table(name: str, document: ValidationDocument | CrossValidationDo
         def predicted(row: ValidatedTrial) -> str:
             return mean_sigma((row.stop[what]["mean"], row.stop[what]["sigma"])) if row.stop else NONE
 
-        return numbers(f"stop {what}, measured", measured, unit), numbers(
-            f"stop {what}, predicted ± spread", predicted, unit, joined=True
-        )
+        return numbers("stop", measured, unit), numbers("predicted", predicted, unit, joined=True)
 
     third = (
-        numbers("until the 3rd touchdown", lambda row: percent(row.nrmse_third_contact), "%"),
-        numbers("ratio until then", lambda row: number(row.ratio_third_contact, 3), joined=True),
+        numbers("to 3rd touchdown", lambda row: percent(row.nrmse_third_contact), "%"),
+        numbers("its ratio", lambda row: number(row.ratio_third_contact, 3), joined=True),
     )
+    notes = ["off from: when the prediction is first off by more than noise"] if leaving else []
+    notes += [_STOP] if stops else []
     flag = "flagged" if document.flagged else "not flagged"
     return table(
         f"prediction of trials that were not fitted, {name}: {flag}",
@@ -295,14 +299,10 @@ def validation_table(name: str, document: ValidationDocument | CrossValidationDo
             numbers("noise alone", lambda row: percent(row.floor), "%", joined=True),
             numbers("ratio", lambda row: number(row.ratio, 3), joined=True),
             *(third if early else ()),
-            numbers("off by more than noise from", leaves, "s") if leaving else None,
+            numbers("off from", leaves, "s") if leaving else None,
             *(stopping("place", "m") + stopping("time", "s") if stops else ()),
         ),
-        "stop: where (down-slope) and when the body comes to rest, else its log or board ends, since the "
-        "first touchdown; spread: standard deviation over the sets and the uncertainty of the start, without "
-        "what the model lacks; the NRMSE alone is flagged"
-        if stops
-        else "",
+        "; ".join(notes),
     )
 
 
@@ -418,7 +418,7 @@ def channel_line(document: CheckDocument) -> str:
         # The first of many channels that inform a little each is named without its share.
         first = [channel_symbol(name) for name, share in order[:1] if share > 0]
         parts.append(f"{row.symbol}: {', '.join(shares or first) or 'nothing'}")
-    return f"channels that tell most: {'; '.join(parts)}"
+    return f"channels that determine each parameter most: {'; '.join(parts)}"
 
 
 def print_trust(document: TrustDocument, folder: Path, json: bool, *, long: bool = False) -> None:

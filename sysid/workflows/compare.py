@@ -24,7 +24,7 @@ from sysid.workflows.reopen import OpenedFit, open_fit
 
 def compare_and_print(
     folders: Sequence[Path], *, cross: bool, page: Path | None, threads: int | None, force: bool, say: Say,
-    json: bool, quiet: bool = False,
+    json: bool,
 ) -> None:  # fmt: skip
     """Compare fits and print the comparison; write its page to a file where one is named."""
     if page is not None:
@@ -34,7 +34,7 @@ def compare_and_print(
     document, compared = compare_fits(folders, cross=cross, threads=threads, say=say)
     if page is not None:
         write_file(page, comparison_page(document, compared).encode("utf-8"), ExportError)
-    if print_result(document.model_dump() | ({"page": str(page)} if page else {}), json) or quiet:
+    if print_result(document.model_dump() | ({"page": str(page)} if page else {}), json):
         return
     if (known := known_table(document)) is not None:
         print_table(known)

@@ -73,7 +73,7 @@ def run_demo(data: Path | None, out: Path, quiet: bool = False, say: Say = None,
     seconds = time.perf_counter() - started
     if json:
         print(exact_json.dumps({"written": written, "seconds": seconds}))
-    elif not quiet:
+    else:
         for one in tables:
             print_table(one)
         print(f"done in {seconds:.0f} s; all of it lies in {out}. Reports, to open in a browser:")

@@ -80,7 +80,7 @@ def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
             "steepest_deg": study.steepest[0].tolist(), "at_edge": study.at_edge[0].tolist(),
             "changes": study.gains(), "lost": lost, "file": str(options.out),
         }, json=True)  # fmt: skip
-    elif not how.quiet:
+    else:
         print_table(gains_table(study))
         print(f"wrote {options.out} and {picture}")
     return study

@@ -36,13 +36,11 @@ def explain_and_print(
     force: bool = False,
     threads: int | None = None,
     json: bool = False,
-    quiet: bool = False,
     say: Say = None,
 ) -> None:
     """Find what a campaign states wrongly, and which terms its model lacks; store, print and draw that.
 
     `adopt` is a campaign file to write, in which a bad trial is not fitted and the terms to keep are free.
-    Nothing is printed if `quiet`.
     Raises `SysidError` for a kind without terms, too few fitted trials and a file that cannot be written.
     """
     if figure is not None:
@@ -58,7 +56,7 @@ def explain_and_print(
     else:
         able = document.keep or _bad_trials(document.suspects)
         line = ["--adopt FILE writes a campaign with what to change"] if able else []
-    if not print_result(document.printed(), json) and not quiet:
+    if not print_result(document.printed(), json):
         if document.together:
             print_table(moves_table(document, trust))
         print_table(rungs_table(document))

@@ -169,7 +169,7 @@ def fit_campaign(
                 tell(f"{folder}: aborted; finished stages are kept, continue with --resume")
             raise
     if missing:
-        say(f"warning: {missing}") if say else notice("no-intervals", missing)
+        say(f"warning: {missing} [no-intervals]") if say else notice("no-intervals", missing)
     return shown, written
 
 

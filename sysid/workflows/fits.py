@@ -1,4 +1,4 @@
-"""`sysid fits`: the fits in a folder, finished or not."""
+"""`sysid show FOLDER`: the fits in a folder, finished or not."""
 
 from __future__ import annotations
 
@@ -36,12 +36,8 @@ def list_fits(folder: str | Path) -> list[FitEntry]:
     """Return the fits of a folder and of the folders in it by name, such as ``demo/motor``.
 
     An unfinished fit takes the place of an earlier, partial result.
-
-    Raises `FitError` when there is no such folder.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise FitError(f"{folder}: no such folder; name the one in which the fits lie")
     entries: dict[str, FitEntry] = {}
     for pattern in ("*", "*/*"):
         for path in folder.glob(f"{pattern}/fit.h5"):
@@ -68,13 +64,9 @@ def list_fits(folder: str | Path) -> list[FitEntry]:
     return [entries[name] for name in sorted(entries)]
 
 
-def print_fits(folder: Path, json: bool = False) -> None:
+def print_fits(entries: list[FitEntry], json: bool = False) -> None:
     """Print the fits of a folder: state, NRMSE, runs, age."""
-    entries = list_fits(folder)
     if print_result([asdict(entry) for entry in entries], json):
-        return
-    if not entries:
-        print_lines([f"no fits in {folder}; sysid fit-motor and sysid fit-gear write there"])
         return
     now = time.time()
     rows = [

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.text import Text
 
 from sysid.errors import CampaignError, LogError, SegmentError, SysidError
-from sysid.journal import folded, spoken
+from sysid.journal import Finding, folded, spoken
 from sysid.loaders import formats, load
 from sysid.loaders.alignment import join_recordings
 from sysid.loaders.guess import Missing, missing
@@ -113,8 +113,8 @@ def inspect_files(
                 if lacking is not None:
                     _print_missing(console, path, format_name, given, lacking, isinstance(result, SysidError))
             else:
-                console.print(Text(str(path), style="bold"))
                 if len(paths) > 1:
+                    console.print(Text(str(path), style="bold"))
                     console.print(Text(f"  refused: {result}", style="bold red"))
                 lacking = missing(path, format_name, given)
                 if lacking is not None:
@@ -148,7 +148,7 @@ def _print_rows(console: Console, reports: Sequence[LogReport]) -> None:
         None if drops else numbers("lasts", lambda report: number(report.duration), "s"),
         numbers("rate", lambda report: number(max((c.rate for c in report.channels), default=np.nan)), "Hz"),
         numbers("touchdown", of_drop(lambda drop: f"{drop.touchdown:.3f}"), "s") if drops else None,
-        numbers("at", of_drop(lambda drop: f"{drop.impact_speed:.2f}"), "m/s") if drops else None,
+        numbers("impact", of_drop(lambda drop: f"{drop.impact_speed:.2f}"), "m/s") if drops else None,
         numbers("slope", degrees, "deg") if drops else None,
         numbers("top speed", of_bench(lambda bench: bench.top_speed), "rad/s") if benches else None,
         numbers("command levels", of_bench(lambda bench: bench.commands)) if benches else None,
@@ -167,8 +167,13 @@ def _print_rows(console: Console, reports: Sequence[LogReport]) -> None:
         ]
         for finding in folded(findings):
             word = "suspicious" if style else "note"
-            console.print(Text(f"{word}: {spoken(finding, len(reports), 'logs')}", style=style))
+            shown = Text(f"{word}: {spoken(finding, len(reports), 'logs')}", style=style)
+            console.print(_with_code(shown, finding) if style else shown)
     console.print(Text("the channels of a log: sysid inspect LOG, or --details for all"))
+
+
+def _with_code(line: Text, finding: Finding) -> Text:
+    return line.append(f" [{finding.code}]", style="not bold dim default")
 
 
 def _print_missing(
@@ -302,8 +307,8 @@ def print_log(console: Console, report: LogReport) -> None:
     lines += [] if report.bench is None else _bench_lines(report.bench)
     for line in lines:
         console.print(Text(f"  {line}"))
-    for sentence in report.suspicions:
-        console.print(Text(f"  suspicious: {sentence}", style="bold yellow"))
+    for finding in report.suspicions:
+        console.print(_with_code(Text(f"  suspicious: {finding}", style="bold yellow"), finding))
     for note in report.notes:
         if note not in report.suspicions:
             console.print(Text(f"  note: {note}"))

@@ -149,7 +149,7 @@ def _print(
         if real is not None:
             entry["real_landings"] = confusion(of_map(real, drawn), drawn).document()
     document = {"file": str(options.out), "figure": str(picture), "maps": counts}
-    if print_result(document, options.compute.json) or options.compute.quiet:
+    if print_result(document, options.compute.json):
         return
     print_table(maps_table(counts))
     for drawn in content.maps:

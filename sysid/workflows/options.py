@@ -18,7 +18,7 @@ from sysid.fit.settings import SearchSettings
 from sysid.journal import notice
 from sysid.landing.outcomes import Rules
 from sysid.landing.settings import Drift, ImpulseSettings, MapSettings, Pitch, Scenario, StudySettings
-from sysid.marks import Argument, Flag, field_hints, mark_of
+from sysid.marks import MORE, Argument, Flag, field_hints, mark_of
 from sysid.search_options import CampaignSearch, SearchOptions
 
 # Suffixes of files in a log folder that are not logs.
@@ -84,17 +84,18 @@ FitFolder = Annotated[Path, Argument("Fit folder, or its fit.h5.")]
 Sets = Annotated[Path, Argument("Fit folder, or file of parameter sets.")]
 GearSets = Annotated[Path, Argument("Fit folder or file with the gear sets.")]
 Draws = Annotated[
-    int | None, Flag("Take this many joint draws of what the data leave open, not the sets.", least=1)
+    int | None,
+    Flag("Take this many joint draws of what the data leave open, not the sets.", least=1, panel=MORE),
 ]
 Force = Annotated[bool, Flag("Replace what exists.", panel=_OUTPUT)]
 Quiet = Annotated[bool, Flag("Print neither progress nor tables.", panel=_OUTPUT)]
 Details = Annotated[bool, Flag("Print every table and what the logs showed.", panel=_OUTPUT)]
 Json = Annotated[bool, Flag("Print the result as JSON.", panel=_OUTPUT)]
-Strict = Annotated[bool, Flag("End with exit code 3 where the fit is unfinished.", panel=_OUTPUT)]
+Strict = Annotated[bool, Flag("End with exit code 3 where the fit is unfinished.", panel=MORE)]
 Resume = Annotated[bool, Flag("Continue a computation that was stopped or killed.", panel=_COMPUTING)]
 Dask = Annotated[
     str | None,
-    Flag("Compute on a Dask cluster: an address, tcp://host:8786, or the word local.", panel=_COMPUTING),
+    Flag("Compute on a Dask cluster: an address, tcp://host:8786, or the word local.", panel=MORE),
 ]
 Threads = Annotated[
     int | None,
@@ -256,9 +257,9 @@ class MotorOptions:
     motor: Annotated[Path, Flag("Fit folder or file with the motor sets.")]
     pair: Annotated[
         Literal["best", "each"],
-        Flag("Give every gear set the best motor set, or gear set i the motor set i."),
+        Flag("Give every gear set the best motor set, or gear set i the motor set i.", panel=MORE),
     ] = "best"
-    ideal_reversal: Annotated[bool, Flag("Let the motors reverse without delay.")] = False
+    ideal_reversal: Annotated[bool, Flag("Let the motors reverse without delay.", panel=MORE)] = False
     draws: Draws = None
 
 
@@ -277,10 +278,13 @@ class ComputeOptions:
 OneController = Annotated[
     str, Flag("off, reverse, command:U, impulse:delay=50ms,duration=0.1, or the name of another controller.")
 ]
-ControllerFile = Annotated[Path | None, Flag("Python file with further controllers.")]
+ControllerFile = Annotated[Path | None, Flag("Python file with further controllers.", panel=MORE)]
 Trigger = Annotated[
     Literal["contact", "imu"],
-    Flag("The controller starts at the first contact, or when the accelerometer feels it (2 g, 30 Hz)."),
+    Flag(
+        "The controller starts at the first contact, or when the accelerometer feels it (2 g, 30 Hz).",
+        panel=MORE,
+    ),
 ]
 ResultFile = Annotated[Path, Flag("Write the result to this HDF5 file.", panel=_OUTPUT)]
 
@@ -297,9 +301,12 @@ class TouchdownOptions:
         float | None, Flag("First descend from this height with attitude control.", unit="m")
     ] = None
     change: Annotated[
-        str | None, Flag("Fly a changed design, as in k_t=1.5,dx_f=0.8: factors; reversal_delay=50ms adds.")
+        str | None,
+        Flag("Fly a changed design, as in k_t=1.5,dx_f=0.8: factors; reversal_delay=50ms adds.", panel=MORE),
     ] = None
-    rate: Annotated[float, Flag("Write this many samples per second.", unit="Hz", least=10)] = 1000.0
+    rate: Annotated[float, Flag("Write this many samples per second.", unit="Hz", least=10, panel=MORE)] = (
+        1000.0
+    )
     rules: Rules = field(default_factory=Rules)
 
 
@@ -348,7 +355,9 @@ class LandingMapOptions(MapOptions):
     ] = ("off", "reverse")
     controller_file: ControllerFile = None
     trigger: Trigger = "contact"
-    experiments: Annotated[Path | None, Flag("Draw the real landings of this CSV file too.")] = None
+    experiments: Annotated[Path | None, Flag("Draw the real landings of this CSV file too.", panel=MORE)] = (
+        None
+    )
     pitch: Pitch = 0.0
     horizontal_speed: Drift = 0.0
 

@@ -1,4 +1,4 @@
-"""`sysid validate`, `sysid cross-validate`: a fit against trials that it has not seen. The one predictor.
+"""`sysid validate`: a fit against trials that it has not seen. The one predictor.
 
 Every prediction of a campaign by a fit is `predict` on the campaign opened under the law of the fit; see
 `sysid.fit.problem.Problem.adopt` for what the fit brings and what is the campaign's.
@@ -115,7 +115,7 @@ def unseen(fit: FitResult, problem: Problem, path: Path) -> list[str]:
     if not left:
         raise FitError(
             f"{path}: the fit was made from every trial in it, so they validate nothing; keep trials out of "
-            "the fit with use = 'validate', or run sysid cross-validate"
+            "the fit with use = 'validate', or name no campaign: each trial is then predicted by the others"
         )
     return left
 

@@ -87,7 +87,7 @@ def reopen(folder: Path, result: FitResult, campaign: Path | None, threads: int 
             raise FitError(f"{campaign}: no such campaign file; --campaign names the one of the fit {folder}")
         name = f"its campaign {stated['file']!r} is not where it was" if stated else "it names no campaign"
         raise FitError(
-            f"{folder}: {name}; put it back, or name it with --campaign (trust, explain, cross-validate)"
+            f"{folder}: {name}; put it back, or name it with --campaign (trust, explain, validate)"
         )
     with naming_campaign(path):
         kind, content, _ = open_campaign(path, result.kind, result.law)

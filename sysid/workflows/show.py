@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 
 from sysid import exact_json
@@ -11,6 +12,7 @@ from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder
 from sysid.parameter_sets import ACCUSED, ADEQUACY, DRAWS, KNOWN_ANYHOW, NOT_ASSESSED, ParameterSets
+from sysid.plugin import NAMED
 from sysid.report.explain import conclusion
 from sysid.report.fold import print_lines, print_table
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
@@ -77,12 +79,13 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
         (f"check {campaign}", "do the logs contradict the campaign?"),
         (f"explain {folder}", "which stated value, log or physics is wrong?"),
     )
+    plugins = "".join(f" --plugin {shlex.quote(str(file))}" for file in NAMED)
     for command, what in (
         *([] if result.state == "done" else [cut]),
         (f"report {folder}", "one page with every trial, to open in a browser"),
         *(mend if result.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY else use),
     ):
-        print_lines([f"  sysid {command:<40}  {what}"])
+        print_lines([f"  sysid {command + plugins:<40}  {what}"])
 
 
 def verdict_on(result: FitResult) -> str:

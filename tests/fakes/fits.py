@@ -80,7 +80,7 @@ def full_fit(seed=0, state="done"):
     runs = []
     for run in fit.runs:
         (stage,) = run.stages
-        causes = tuple({"blew_up": g, "left_the_board": 2} if g else {} for g in range(len(stage.cost)))
+        causes = tuple({"diverged": g, "left_the_board": 2} if g else {} for g in range(len(stage.cost)))
         stage = replace(stage, failed=np.arange(len(stage.cost)), causes=causes)
         finish = replace(stage, algorithm="cmaes", cube=stage.cube / 2, cost=stage.cost / 2)
         runs.append(replace(run, stages=(stage, finish)))

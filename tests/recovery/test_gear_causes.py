@@ -105,7 +105,7 @@ def test_the_penalty_of_leaving_begins_at_nothing(problem):
 
 def test_every_way_to_be_lost_is_told_apart(problem):
     objective, row = problem
-    assert cause(objective, changed(row, 8, 5.0))[1] == "blew_up"
+    assert cause(objective, changed(row, 8, 5.0))[1] == "diverged"
     assert cause(objective, changed(row, 12, 1e13))[1] == "too_expensive"
     cost, why = cause(objective, changed(row, 15, 0.0))
     assert why == "step_collapsed"
@@ -136,8 +136,8 @@ def test_a_ranked_set_that_is_lost_on_a_drop_says_why(problem):
     # The third set's legs are pushed through their joints; on a short board every set leaves it.
     rows = np.stack([row, row, changed(row, 8, 5.0)])
     both = ", ".join(objective.names)
-    assert lost(objective, rows) == [f"set 3: blew up on {both}"]
-    ways = ("set 1: left the board", "set 2: left the board", "set 3: blew up")
+    assert lost(objective, rows) == [f"set 3: diverged on {both}"]
+    ways = ("set 1: left the board", "set 2: left the board", "set 3: diverged")
     assert lost(on_board(objective, 0.05), rows) == [f"{way} on {both}" for way in ways]
     assert lost(objective, rows[:2]) == []
 
@@ -154,7 +154,7 @@ def test_a_fit_counts_them_by_cause(folder, tmp_path):
     )  # fmt: skip
     result, out = fit_gear(path, options)
     counts = result.runs[0].failures
-    assert {"blew_up", "left_the_board"} <= set(counts) <= set(CAUSES)
+    assert {"diverged", "left_the_board"} <= set(counts) <= set(CAUSES)
     assert sum(counts.values()) == result.runs[0].failed.sum()
     # The accuracy is kept beside what it led to.
     assert read_fit(out).settings["tolerance"] == SURFACES["lf"].tolerance

@@ -294,14 +294,14 @@ def test_trajectory_shapes_are_checked():
 def test_failures_are_told_by_cause_in_text_and_numbers(tmp_path):
     path = write_fit(full_fit(), tmp_path / "bench")
     # 1 + 2 + 3 + 4 + 5 in each of two stages, and 2 in five generations of each.
-    assert read_fit(path).runs[0].failures == {"blew_up": 30, "left_the_board": 20}
-    assert "failed: 30 blew up, 20 left the board" in (path / "summary.txt").read_text(encoding="utf-8")
+    assert read_fit(path).runs[0].failures == {"diverged": 30, "left_the_board": 20}
+    assert "failed: 30 diverged, 20 left the board" in (path / "summary.txt").read_text(encoding="utf-8")
     with h5py.File(path / "fit.h5") as file:
         counts = file["runs/1/stages/1/failed_by_cause"]
         assert counts[()].tolist() == [[0, 0], *([g, 2] for g in range(1, 6))]
         record = exact_json.loads(file["record_json"].asstr()[()])
     by_cause = record["runs"][0]["stages"][0]["failures"]
-    assert by_cause == {"blew_up": 15, "left_the_board": 10}
+    assert by_cause == {"diverged": 15, "left_the_board": 10}
 
 
 def _replaced_by(make):

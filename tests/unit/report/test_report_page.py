@@ -544,9 +544,9 @@ def test_open_intervals_are_shown_as_open():
     )  # fmt: skip
     document = TrustDocument.model_construct(parameters=[row])
     wide, narrow = interval_table(document), narrow_table(document)
-    assert [cell.text for cell in wide.rows[0][3:5]] == ["open", "open"]
+    assert [cell.text for cell in wide.rows[0][2:4]] == ["open", "open"]
     assert [cell.text for cell in narrow.rows[0][1:4]] == ["—", "≤ 5", "—"]
-    assert wide.rows[0][5] == Cell("not identifiable", "bad")
+    assert wide.rows[0][4] == Cell("not identifiable", "bad")
 
 
 def test_a_slow_sensor_beside_a_fast_one_is_drawn_as_dots(tmp_path):

@@ -174,6 +174,54 @@ def test_help_fits_80_columns_lists_every_command_and_ends_with_an_example():
             assert "\nOutput:\n" in text, name
 
 
+def test_a_help_shows_twelve_options_and_help_all_every_one():
+    """Rare options are named, and explained by --help-all; `fit` takes a model of one's own."""
+    runner, rare = CliRunner(), re.compile(r"^\d+ more, which --help-all explains:\n((?:  --.*\n)+)", re.M)
+    for name, one in every_command():
+        options = {max(p.opts, key=len) for p in one.params if p.param_type_name == "option"} | {"--help"}
+        short = runner.invoke(app, [*name.split(), "-h"], terminal_width=80).output
+        shown = set(re.findall(r"^  (?:-\w, )?(--[a-z][\w-]*)", rare.sub("", short), re.M))
+        assert len(shown) <= 12, name
+        more = rare.search(short)
+        named = set(re.findall(r"--[\w-]+", more[1])) if more else set()
+        assert shown | named == options, name
+        assert not shown & named, name
+        whole = runner.invoke(app, [*name.split(), "--help-all"], terminal_width=80).output
+        assert set(re.findall(r"^  (?:-\w, )?(--[a-z][\w-]*)", whole, re.M)) == options, name
+        assert {"--quiet", "--plugin"} <= options, name
+        assert "--plugin" in shown or name != "fit"
+
+
+def test_quiet_silences_what_is_only_printed_but_not_json(run):
+    assert run("codes", "--quiet") == (0, "", "")
+    assert run("codes", "odd-kv", "--quiet", "--json")[1].startswith("{")
+    sets = [SAMPLES / "published" / f"published-{name}.json" for name in ("gear-lf", "motor")]
+    land = (
+        "simulate",
+        sets[0],
+        "--motor",
+        sets[1],
+        "--slope",
+        "20 deg",
+        "--speed",
+        "0.5",
+        "--horizon",
+        "0.1",
+    )
+    assert run(*land, "--quiet") == (0, "", "")
+    assert run(*land, "--quiet", "--json")[1].startswith("[")
+
+
+def test_former_names_stay_as_hidden_commands():
+    """`fits`, `cross-validate` and `ladder` run what took their place."""
+    commands = typer.main.get_command(app).commands
+    former = {"fits": "show", "cross-validate": "validate", "ladder": "explain"}
+    assert {name for name, one in commands.items() if one.hidden} == set(former)
+    for old, new in former.items():
+        assert [p.opts for p in commands[old].params] == [p.opts for p in commands[new].params]
+    assert {"fit", "fit-gear", "fit-motor"} <= set(GROUPS["Fit"])
+
+
 def test_an_option_means_the_same_in_every_command():
     """Only files, rates, laws and grids say in each command what they are about."""
     own = {"--out", "--figure", "--seed", "--rate", "--surface", "--slope", "--slopes", "--speeds", "--help"}

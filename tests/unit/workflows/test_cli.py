@@ -79,6 +79,21 @@ def test_fit_gear_show_export_and_read_back(drops, run, tmp_path, refused):
     assert run("fit-gear", campaign, *SMALL, "--force")[0] == 0
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (("fit-geer", "x"), "no such command 'fit-geer', did you mean 'fit-gear'; sysid -h says more"),
+        (("fit-gear",), "missing argument 'CAMPAIGN'; sysid fit-gear -h says more"),
+        (("fit-gear", "x", "--run", "3"), "no such option: --run (Possible options: --resume, --runs,"),
+        (("fit-gear", "x", "--algorithm", "nsga"), "'nsga' is not one of 'ga', 'matlab-ga', 'cmaes',"),
+        (("fit-gear", "x", "--runs", "-3"), "invalid value for '--runs': Input should be greater than"),
+        (("simulate", "x", "--slope", "20 deg", "--speed", "1"), "missing option '--motor'; sysid simulate"),
+    ],
+)  # fmt: skip
+def test_a_wrong_command_line_is_refused_in_one_sentence(line, words, refused):
+    assert refused(words, *line).count("\n") == 1
+
+
 def test_ctrl_c_outlives_a_compiler_that_swallows_exceptions(monkeypatch, run):
     """In any command: an exception in a callback of LLVM is printed by ctypes and forgotten."""
     app = typer.Typer()

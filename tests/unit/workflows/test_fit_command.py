@@ -76,7 +76,7 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
 
 
 def test_fits_lists_states(campaign, run, refused):
-    refused("no such folder", "fits")
+    refused("fits: is not there; expected a folder that sysid fit-motor or fit-gear wrote", "fits")
     assert run("fit-gear", campaign, *SMALL, "--finish", "none", "--out", "fits/whole")[0] == 0
     cut = ("fit-gear", campaign, *SMALL, "--out", "fits/cut", "--time-limit", "0.001 s")
     assert run(*cut)[0] == 0
@@ -215,7 +215,7 @@ def test_low_friction_drops_are_fitted_on_the_high_friction_law(campaign, run, r
     fit += ("--exact",)
     code, _, err = run(*fit)
     assert code == 0, err
-    line = "surface hf: ignoring kinetic_friction, slip_regularization, which the campaign states for law lf"
+    line = "friction law hf: ignoring kinetic_friction, slip_regularization, which the campaign states for lf"
     assert " ".join(err.split()).count(line) == 1
     # What the fit took as exact is exact for all that opens it later.
     opened = open_fit(next(Path("fits").iterdir()))

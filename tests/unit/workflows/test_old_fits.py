@@ -97,7 +97,7 @@ def test_every_reading_command_opens_or_refuses_it(lag, tmp_path, run, name):
     path, fit = lag
     # Beside the fit, from where the campaign is found.
     old = older(fit, fit.parent / name.replace(" ", "-"), CHANGES[name])
-    commands = [("show", old), ("show", old / "fit.json"), ("report", old), ("fits", tmp_path)]
+    commands = [("show", old), ("show", old / "fit.json"), ("report", old), ("fits", fit.parent)]
     commands += [
         ("export", old, "--out", tmp_path / f"sets{end}") for end in (".json", ".csv", ".h5", ".mat")
     ]

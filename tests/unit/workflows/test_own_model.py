@@ -211,6 +211,25 @@ def test_logs_that_lack_a_column_or_its_unit_are_refused(tmp_path):
         assert words in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("frame", "given", "words"),
+    [
+        (
+            table().rename(columns={"level": "levle [V]"}),
+            {},
+            "no column for the channel 'level'; found levle",
+        ),
+        (table(), {"noise": {"levle": "50 mV"}}, "noise: no channel 'levle'; decay_tested has level"),
+        (table(), {"weights": {"levle": 2.0}}, "weights: no channel 'levle'; decay_tested has level"),
+    ],
+)
+def test_a_misspelt_channel_is_refused_before_anything_is_written(frame, given, words, tmp_path):
+    with pytest.raises(sysid.SysidError) as refusal:
+        made().campaign({"b": table(), "a": frame}, tmp_path / "campaign", **given)
+    assert words in str(refusal.value)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_installed_package_brings_its_kind(tmp_path, monkeypatch):
     package = tmp_path / "decays-1.0.dist-info"
     package.mkdir()
@@ -234,8 +253,13 @@ def test_the_commands_take_a_file_with_a_model(tmp_path, run, refused, monkeypat
         'kind = "decay_file"\nname = "d"\n[[trials]]\nname = "a"\nlog = "a.csv"\n', encoding="utf-8"
     )
     refused("--plugin names the Python file", "check", "decay.toml")
-    small = ("--runs", "1", "--population", "16", "--max-generations", "9", "--quiet")
-    assert run("fit", "decay.toml", *small, "--plugin", "decay.py")[0] == 0
+    small = ("--runs", "1", "--population", "16", "--max-generations", "9")
+    code, out, _ = run("fit", "decay.toml", *small, "--plugin", "decay.py")
+    assert code == 0
+    # The commands that come next need the model too.
+    after = out.partition("next:")[2].split("sysid ")[1:]
+    assert len(after) == 3
+    assert all("--plugin decay.py " in line for line in after)
     assert "rate" in run("show", "fits/d")[1]
     assert run("report", "fits/d", "--quiet")[0] == 0
     assert run("export", "fits/d", "--out", "d.csv")[0] == 0

@@ -73,7 +73,7 @@ def test_trials_are_counted_of_all_that_the_findings_are_about(lag, monkeypatch)
     monkeypatch.setattr(predict, "open_under", noticing)
     heard = []
     predict.validate_fit(lag[1], lag[0], say=heard.append)
-    assert "warning: 4 of 4 trials: is odd" in heard
+    assert "warning: 4 of 4 trials: is odd [odd]" in heard
 
 
 def test_quiet_prints_nothing(lag, run):
@@ -162,7 +162,7 @@ def test_a_time_limit_ends_the_intervals_too(tmp_path, monkeypatch):
     heard = []
     options = FitOptions(out=tmp_path / "fit", quiet=True, time_limit=8.0)
     result, folder = fit_campaign(write_lag(tmp_path), options, say=heard.append)
-    assert heard[-1] == f"warning: no intervals (time limit); run sysid trust {folder}"
+    assert heard[-1] == f"warning: no intervals (time limit); run sysid trust {folder} [no-intervals]"
     assert (result.state, result.judged) == ("done", {})
     assert read_fit(folder).state == "done"
 
