@@ -189,8 +189,8 @@ def printed(views: Sequence[View]) -> Html:
 def figure_of(views: Sequence[View], title: str = "", *, across: bool = False) -> Figure:
     """Draw views for paper, a file or a notebook: a column per view, under a legend.
 
-    With `across`, for a page that has one legend for many figures, the panels of the only view stand beside
-    each other, each above its low ones.
+    With `across`, for a page that has one legend for many figures, the panels of the only view stand two
+    beside each other, each above its low ones.
     """
     groups: list[list[list[Panel]]] = []
     for view in views:
@@ -201,8 +201,9 @@ def figure_of(views: Sequence[View], title: str = "", *, across: bool = False) -
             else:
                 groups[-1].append([panel])
     most = max(1, *map(len, groups))
-    rows, columns = (1, most) if across else (most, len(views))
-    wide, high = (min(3.4, 10.2 / most), 1.7) if across else (6.6 if columns == 1 else 3.2, 2.4)
+    rows, columns = (-(-most // 2), min(most, 2)) if across else (most, len(views))
+    # Across: 85 mm on paper.
+    wide, high = (3.5, 1.5) if across else (6.6 if columns == 1 else 3.2, 2.4)
     entries = [] if across else [(_INKS[colour], look, words) for colour, look, words in _meanings(views)]
     if any(view.lost for view in views) and not across:
         entries.append((MASKED, "area", "no sample counts"))
@@ -215,19 +216,19 @@ def figure_of(views: Sequence[View], title: str = "", *, across: bool = False) -
     # Fixed margins: laying out eighty axes automatically takes longer than drawing them.
     grid = figure.add_gridspec(
         rows, columns, left=0.55 / width, right=1 - 0.1 / width, bottom=below / height,
-        top=1 - above / height, hspace=0.28, wspace=0.34 if across else 0.24,
+        top=1 - above / height, hspace=0.28, wspace=0.2 if across else 0.24,
     )  # fmt: skip
     for v, view in enumerate(views):
         shared: Axes | None = None
         for g, group in enumerate(groups[v]):
             ratios = [1.0 if panel.low else 2.2 for panel in group]
-            cell = grid[(0, g) if across else (g, v)].subgridspec(
+            cell = grid[divmod(g, columns) if across else (g, v)].subgridspec(
                 len(group), 1, height_ratios=ratios, hspace=0.55
             )
             for k, panel in enumerate(group):
                 axes = shared = figure.add_subplot(cell[k], sharex=shared)
                 _draw(axes, view, panel)
-                last = panel is group[-1] and (across or g == len(groups[v]) - 1)
+                last = panel is group[-1] and g >= len(groups[v]) - (columns if across else 1)
                 axes.tick_params(labelbottom=last)
                 if not across:
                     axes.set_title(panel.note, fontsize=8, loc="right", pad=3)

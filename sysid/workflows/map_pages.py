@@ -19,9 +19,11 @@ from sysid.landing.store import MAPS, STUDY, MapFile, read_maps, read_study
 from sysid.marks import Flag, field_hints, mark_of
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.parameter_sets import DRAWS
+from sysid.report.answer import answer_box
 from sysid.report.cell_explorer import CellAxis, CellChart, explorer
 from sysid.report.design_figures import narrow_figures
 from sysid.report.html import (
+    NOTHING,
     Html,
     definitions,
     heading,
@@ -30,12 +32,12 @@ from sysid.report.html import (
     legend,
     markup_table,
     page,
-    paragraph,
     picture,
     side_by_side,
 )
 from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file, legend_entries
 from sysid.report.landing_tables import gains_table, maps_table
+from sysid.report.table import Cell
 from sysid.types import FloatArray, IntArray
 from sysid.workflows.reopen import shown_from_here
 
@@ -63,7 +65,24 @@ def map_page(path: Path) -> str:
     )
     table = markup_table(maps_table([chart.summary() for chart in content.maps]))
     explored = explorer(charts, rules, notes)
-    return _page("Landing maps", words, explored, table, _pictures(content), simulate, path)
+    box = _map_answer(content, words)
+    return _page(box, explored, table, _pictures(content), simulate, path)
+
+
+def _map_answer(content: MapFile, words: str) -> Html:
+    """Return the box above a page of maps: how steep is landed on, at the speed nearest to 1 m/s."""
+    first, tiles = content.maps[0], []
+    speed = float(first.speeds[np.argmin(np.abs(first.speeds - 1.0))])
+    for chart in content.maps[:4]:
+        slope = chart.steepest(speed)
+        edge = "≥ " if slope == chart.slopes_deg[-1] else ""
+        figure = f"{edge}{slope:g}°" if np.isfinite(slope) else "nowhere"
+        tiles.append((figure, f"{chart.title}: steepest slope at {speed:g} m/s that {chart.quorum} land on"))
+    following = "point at a cell below; its command simulates it"
+    if not first.numbers:
+        following += ". Runs of one fit do not show what its data leave open; `--draws 50` does"
+    word = Cell(f"{len(first.sets)} {first.of}", "good" if first.numbers else "doubtful")
+    return answer_box("Landing maps", word, words, tiles, following, NOTHING)
 
 
 def _pictures(content: MapFile) -> Html:
@@ -95,20 +114,27 @@ def study_page(path: Path) -> str:
         for what, figure in narrow_figures(study).items()
     ])  # fmt: skip
     explored = explorer(_study_charts(study, simulate, provenance), rules, simulate.notes)
-    table = markup_table(gains_table(study))
-    return _page("Design study", words, explored, table, figures, simulate, path)
+    gains = study.gains()
+    tiles = [
+        (f"{row['gain_deg']:+.1f}°", f"{row['change']} {', '.join(f'{value:.3g}' for value in row['best'])}: "
+         "more slope to land on, mean over the speeds")
+        for row in gains[:3]
+    ]  # fmt: skip
+    buys = bool(gains) and gains[0]["gain_deg"] > 0
+    word = Cell("a change buys slope", "good") if buys else Cell("no change buys slope", "doubtful")
+    following = "point at a cell below; its command simulates it"
+    box = answer_box("Design study", word, words, tiles, following, NOTHING)
+    return _page(box, explored, markup_table(gains_table(study)), figures, simulate, path)
 
 
 # Makers of the page that `sysid report` writes for an HDF5 file, by the file's schema.
 PAGES: dict[str, Callable[[Path], str]] = {MAPS.schema: map_page, STUDY.schema: study_page}
 
 
-def _page(
-    title: str, words: str, explored: Html, table: Html, figures: Html, simulate: _Simulate, path: Path
-) -> str:
+def _page(box: Html, explored: Html, table: Html, figures: Html, simulate: _Simulate, path: Path) -> str:
     rows = [(name, str(value)) for name, value in simulate.sources.items()]
     parts = [
-        heading(title, 1), paragraph(f"{words}."),
+        box,
         Html(f'<div class="unprinted">{heading("Cells").text}{explored.text}</div>'),
         heading("In numbers"), table,
         heading("Figures"), figures,
