@@ -221,7 +221,7 @@ def test_campaigns_without_unseen_trials_or_file_are_refused(fit, three, tmp_pat
     seen = tmp_path / "seen.toml"
     text = three.read_text(encoding="utf-8").split('[[trials]]\nname = "drop-7"')[0]
     seen.write_text(text, encoding="utf-8")
-    with pytest.raises(FitError, match="sysid cross-validate"):
+    with pytest.raises(FitError, match="each trial is then predicted by the others"):
         validate_fit(fit, seen)
     with pytest.raises(FitError, match="no such campaign file; --campaign names the one of the fit"):
         open_fit(fit, tmp_path / "gone.toml")

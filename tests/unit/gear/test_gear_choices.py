@@ -86,7 +86,7 @@ def test_friction_of_another_surface_is_dropped_and_said(surface, other, stated,
     campaign = opened(tmp_path, surface, fixed, stated=stated)
     moved, (ignored,) = on_surface(campaign, other)
     assert ignored.code == "other-law"
-    assert f"ignoring {', '.join(names)}, which the campaign states for law {surface}" in ignored.sentence
+    assert f"ignoring {', '.join(names)}, which the campaign states for {surface}" in ignored.sentence
     # What is not of the surface is kept.
     assert moved.vehicle == campaign.vehicle
     assert moved.parameters.bounds == campaign.parameters.bounds

@@ -39,7 +39,7 @@ class Linear:
     common = 0
     remedy = ""
     small = 0.0
-    layout = Problem.layout
+    layout, at_stated_scale = Problem.layout, Problem.at_stated_scale
 
     def only(self, names):
         kept = [self.names.index(name) for name in names]
