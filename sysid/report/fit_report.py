@@ -355,7 +355,7 @@ class FitReport:
             out += self.missing("intervals and verdicts", "sysid trust")
         else:
             if (stated := stated_table(self.trust)) is not None:
-                out += markup_table(stated)
+                out += unfoldable("Stated values, and what the fit made of them", markup_table(stated))
             out += unfoldable("Narrower intervals", markup_table(narrow_table(self.trust)), printed=False)
         tables = markup_table(mean_sigma_table(sets, unfixed=opened))
         out += unfoldable("Mean and spread of the runs (Tables I and II)", tables, printed=False)

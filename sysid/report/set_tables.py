@@ -225,7 +225,7 @@ def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
         (
             words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
             numbers("true", lambda row: rounded(truth[row.record.name])),
-            numbers("found", lambda row: row.instead or rounded(row.values[0])),
+            numbers("found", lambda row: NONE if row.instead else rounded(row.values[0])),
             numbers("off", off, "%"),
             numbers("95 % interval", lambda row: row.judged.interval if row.judged else NONE),
             words("inside", inside),
