@@ -33,8 +33,7 @@ NOT_JUDGED = Cell("not judged", "doubtful")
 class Reopened:
     """What a report learns from the campaign of its fit and from its logs, where these can be read."""
 
-    # Least and largest prediction (n, C) [channel units] of the parameter sets at the ends of the 95 %
-    # intervals, by trial.
+    # Lower and upper end (n, C) [channel units] of 95 % of the predictions by draws, by trial.
     band: Mapping[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
     # Noise (C,) of the measurement as compared [channel units], by trial.
     noise: Mapping[str, FloatArray] = field(default_factory=dict)

@@ -216,17 +216,14 @@ class FitReport:
         return out
 
     @cached_property
-    def likelihood_profiles(self) -> list[tuple[FreeParameter, FloatArray, FloatArray, FloatArray | None]]:
-        """Every profile: row of the document of trust, values (n,) [SI], deviance (n,) [1], all free (n, k).
-
-        Older documents of trust lack the last.
-        """
+    def likelihood_profiles(self) -> list[tuple[FreeParameter, FloatArray, FloatArray]]:
+        """Every profile: row of the document of trust, values (n,) [SI], deviance (n,) [1]."""
         if self.trust is None:
             return []
         arrays = documents.read_arrays(self.folder, documents.TRUST)
         paths = ((row, f"profiles/{row.name}") for row in self.trust.parameters)
         return [
-            (row, arrays[f"{path}/value"], arrays[f"{path}/deviance"], arrays.get(f"{path}/others"))
+            (row, arrays[f"{path}/value"], arrays[f"{path}/deviance"])
             for row, path in paths
             if f"{path}/value" in arrays
         ]
@@ -450,7 +447,7 @@ class FitReport:
         if self.trust is None:
             return self.missing("profiles of the likelihood", "sysid trust")
         pieces = []
-        for row, *curve, _ in self.likelihood_profiles:
+        for row, *curve in self.likelihood_profiles:
             words = f"deviance over {row.name}, all others fitted again: {row.words}"
             pieces.append(picture(figure_profile(row, *curve), words))
         return side_by_side(pieces)
@@ -560,7 +557,7 @@ class FitReport:
             out["ladder"] = figure_rungs(self.climbed)
         profiles = self.likelihood_profiles
         names = file_names([f"profile-{row.name}" for row, *_ in profiles])
-        for name, (row, *curve, _) in zip(names, profiles, strict=True):
+        for name, (row, *curve) in zip(names, profiles, strict=True):
             out[name] = figure_profile(row, *curve)
         return out
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from sysid.report.fit_report import FitReport
 from sysid.report.snapshots import check_film, film_bytes
 from sysid.storage import check_file, schema_of, write_file, write_files
 from sysid.trust import documents
-from sysid.types import FloatArray
+from sysid.workflows.draws import stored_draws
 from sysid.workflows.kinds import find_report
 from sysid.workflows.map_pages import PAGES
 from sysid.workflows.options import ReportOptions
@@ -39,22 +38,22 @@ def open_report(fit: str | Path) -> FitReport:
     return report
 
 
-# Deviance at the ends of a 95 % interval (chi-square, one freedom).
-_AT_END = 3.841459
+# Number of draws behind a band: the quantiles of more differ by less than a line's width.
+_DRAWS = 100
 
 
 def reopened(report: FitReport) -> Reopened:
     """Return what the campaign of a fit tells; where it cannot be read, nothing but the reason.
 
-    The band is of the parameter sets at the ends of every 95 % interval, found between two points of its
-    profile: each keeps one parameter at an end while all others are fitted again.
+    At every sample, the band has 95 % of the predictions by draws of the fit.
     """
     fit = report.fit
     try:
         with Journal():
             opened = reopen(report.folder, fit, None, 1)
-            ends = _ends(report, opened.space.names)
-            predicted = predict(fit, opened.kind, opened.whole, np.concatenate([fit.values, ends]))
+            stored = stored_draws(report.folder, fit)
+            draws = fit.values[:0] if stored is None else stored[:_DRAWS]
+            predicted = predict(fit, opened.kind, opened.whole, np.concatenate([fit.values, draws]))
             trials, sets = predicted.problem.trials, slice(0, len(fit.values))
             held_out = {
                 trial.name: float(predicted.judge(t, sets, predicted.floor).ratio)
@@ -65,39 +64,12 @@ def reopened(report: FitReport) -> Reopened:
     except (SysidError, OSError) as error:
         return Reopened(why_not=str(error))
     band = {}
-    if len(ends):
+    if len(draws):
         for trial, signals in zip(trials, predicted.scored.signals, strict=True):
-            of_ends = signals[len(fit.values) :]
-            with np.errstate(invalid="ignore"):
-                band[trial.name] = np.nanmin(of_ends, axis=0), np.nanmax(of_ends, axis=0)
+            low, high = np.quantile(signals[len(fit.values) :], [0.025, 0.975], axis=0)
+            band[trial.name] = low, high
     noise = dict(zip((trial.name for trial in trials), predicted.floor, strict=True))
     return Reopened(band, noise, held_out, truth, evidence)
-
-
-def _ends(report: FitReport, names: Sequence[str]) -> FloatArray:
-    """Return sets (E, n) of all parameters at the ends of the intervals of the free ones, `names` [SI].
-
-    Derived parameters follow from the free ones and are not read: they keep the values of the best set.
-    """
-    ends = []
-    for _, _, deviance, others in report.likelihood_profiles:
-        if others is None:
-            continue
-        least = int(np.argmin(deviance))
-        for side in (slice(least, None, -1), slice(least, None)):
-            inside = np.flatnonzero(deviance[side] > _AT_END)
-            if not len(inside):
-                ends.append(others[side][-1])
-                continue
-            k = int(inside[0])
-            low, high = deviance[side][k - 1 : k + 1]
-            share = (_AT_END - low) / (high - low)
-            ends.append(others[side][k - 1] + share * (others[side][k] - others[side][k - 1]))
-    fit = report.fit
-    values = np.repeat(fit.values[:1], len(ends), axis=0)
-    if ends:
-        values[:, [[record.name for record in fit.parameters].index(name) for name in names]] = ends
-    return values
 
 
 def write_report(
@@ -130,7 +102,7 @@ def write_report(
     if options.against is not None:
         tell(f"simulating the trials of {options.against} with the sets of {report.fit.name}")
         report = replace(report, against=predicted_fit(report.fit, options.against))
-    tell(f"simulating the ends of the intervals of {report.fit.name}")
+    tell(f"simulating the draws of {report.fit.name}")
     report = replace(report, known=reopened(report))
     tell(f"drawing the figures of {report.fit.name}")
     written, files = {"report": out}, {out: report.page().encode("utf-8")}
