@@ -202,8 +202,8 @@ def figure_of(views: Sequence[View], title: str = "", *, across: bool = False) -
                 groups[-1].append([panel])
     most = max(1, *map(len, groups))
     rows, columns = (-(-most // 2), min(most, 2)) if across else (most, len(views))
-    # Across: 85 mm on paper.
-    wide, high = (3.5, 1.15) if across else (6.6 if columns == 1 else 3.2, 2.4)
+    # Across: 85 mm on paper, three figures of six panels on a page.
+    wide, high = (3.5, 0.88) if across else (6.6 if columns == 1 else 3.2, 2.4)
     entries = [] if across else [(_INKS[colour], look, words) for colour, look, words in _meanings(views)]
     if any(view.lost for view in views) and not across:
         entries.append((MASKED, "area", "no sample counts"))

@@ -146,13 +146,13 @@
         seen.push([c, data.length - 1]);
       }
       const last = k === this.view.panels.length - 1;
-      const axis = { stroke: css("text"), grid: { stroke: css("grid"), width: 1 }, ticks: { stroke: css("grid"), width: 1 }, font: "12px system-ui, sans-serif" };
+      const axis = { stroke: css("text"), grid: { stroke: css("grid"), width: 1 }, ticks: { stroke: css("grid"), width: 1 }, font: "12px system-ui, sans-serif", values: (u, ticks) => ticks.map((v) => (v === null ? "" : String(Number(v.toPrecision(6))).replace("-", "−"))) };
       const options = {
-        width: this.width, height: (panel.low ? 66 : 132) + (last ? 38 : 0), padding: [5, 8, 0, 0], series, bands, legend: { show: false },
+        width: this.width, height: (panel.low ? 66 : 132) + (last ? 38 : 0), padding: [5, 18, 0, 0], series, bands, legend: { show: false },
         scales: { x: { time: false, range: () => this.range }, y: { range: (u, low, high) => this.span(low, high, panel) } },
         axes: [
-          { ...axis, show: true, size: last ? 44 : 8, values: last ? undefined : () => [], label: last ? this.data.x[0] + " [" + this.data.x[1] + "]" : undefined, labelSize: last ? 16 : 0, labelFont: "12px system-ui, sans-serif" },
-          { ...axis, size: 58, space: panel.low ? 16 : 30, splits: panel.shade ? (u, i, low, high, step) => levels(panel.shade, low, high, step) : undefined, values: (u, ticks) => ticks.map((v) => (v === null ? "" : String(Number(v.toPrecision(6))).replace("-", "−"))) },
+          { ...axis, show: true, size: last ? 44 : 8, ...(last ? {} : { values: () => [] }), label: last ? this.data.x[0] + " [" + this.data.x[1] + "]" : undefined, labelSize: last ? 16 : 0, labelFont: "12px system-ui, sans-serif" },
+          { ...axis, size: 58, space: panel.low ? 16 : 30, splits: panel.shade ? (u, i, low, high, step) => levels(panel.shade, low, high, step) : undefined },
         ],
         cursor: { sync: { key: null }, drag: { x: true, y: false, setScale: false }, points: { size: 7 }, y: false },
         hooks: {
