@@ -23,6 +23,7 @@ from sysid.fit.story import Story
 from sysid.fit.trial import Prediction
 from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
+from sysid.parameters import common_name
 from sysid.trust.assessment import leave_one_out, linearize
 from sysid.trust.documents import (
     Arrays,
@@ -255,10 +256,19 @@ def cross_validate(
         space, names = problem.space, [record.name for record in result.parameters]
         trials = [name for name in opened.whole.names if name in problem.names]
         decoded = space.decode(refits.points[[problem.names.index(name) for name in trials]])
+        place = {
+            trial.digest: trials.index(trial.name) for trial in opened.whole.trials if trial.name in trials
+        }
         for i, row in enumerate(space.free):
-            # No fit without a trial knows more of the trial than what is stated.
-            if row.trial and row.name in space.stated:
-                decoded[trials.index(row.trial), i] = space.stated[row.name]
+            # No fit without a trial knows more of it than what is stated, or found of the others.
+            out = place.get(opened.whole.row_logs.get(row.name, ""))
+            if out is None:
+                continue
+            alike = [k for k, one in enumerate(space.free) if common_name(one) == common_name(row) and k != i]
+            if row.name in space.stated:
+                decoded[out, i] = space.stated[row.name]
+            elif alike:
+                decoded[out, i] = decoded[out, alike].mean()
         values = np.repeat(result.values[:1], len(decoded), axis=0)
         values[:, [names.index(name) for name in space.names]] = decoded
         predicted = predict(result, opened.kind, opened.whole.only(trials), values)

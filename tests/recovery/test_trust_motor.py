@@ -88,6 +88,13 @@ def test_the_right_motor_is_not_flagged(fit: Path, bench: Path) -> None:
     assert found.trials[0].leaves is None
 
 
+def test_a_log_that_is_left_out_takes_its_delay_from_the_others(fit: Path) -> None:
+    # Fitted without its log, the delay of the log is anything: a right motor was flagged with 92 × the noise.
+    document = cross_validate(fit)
+    assert not document.flagged
+    assert max(trial.ratio for trial in document.trials) < 2.0
+
+
 @pytest.mark.parametrize("case", ["inertia", "unconverged"])
 def test_a_wrong_motor_is_flagged_however_well_it_fits_itself(
     case: str, bench: Path, fit: Path, tmp_path: Path
