@@ -132,8 +132,9 @@ def resolve_log(campaign_path: str | Path, log: str) -> Path:
     except OSError:  # such as too long a name
         there = False
     if not there:
+        found = "is a folder" if path.is_dir() else "does not exist"
         raise CampaignFileError(
-            f"{campaign_path}: log {log!r:.99} does not exist in {path.parent}; correct its path"
+            f"{campaign_path}: log {log!r:.99} {found} in {path.parent}; correct its path"
         )
     return path
 

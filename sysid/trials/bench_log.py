@@ -302,9 +302,10 @@ def check_command_direction(u: FloatArray, direction: Direction, where: str) -> 
                 "correct the trial's direction, or command.neutral"
             )
     elif backward if direction == "forward" else ahead:
+        seen = "reversal" if backward and ahead else "reverse" if backward else "forward"
         raise LogError(
             f"{where}: a {direction} trial whose commands run from u = {low:.3g} to {high:.3g}; set "
-            'direction = "reversal", cut the trial with start and end, or correct command.neutral'
+            f'direction = "{seen}", cut the trial with start and end, or correct command.neutral'
         )
 
 

@@ -233,3 +233,11 @@ def test_every_commented_line_of_a_template_is_valid_in_its_place(kind, tmp_path
         module = pytest.importorskip(f"sysid.{kind}.model")
         default = module.LF_FREE if kind == "gear" else module.FREE_DEFAULT
         campaign.parameters.search_space(module.PARAMETERS, default, {})
+
+
+def test_a_folder_in_place_of_a_log_is_called_a_folder(tmp_path):
+    (tmp_path / "logs").mkdir()
+    with pytest.raises(CampaignError, match="log 'logs' is a folder in .*; correct its path"):
+        resolve_log(tmp_path / "motor.toml", "logs")
+    with pytest.raises(CampaignError, match=r"log 'a\.csv' does not exist in .*; correct its path"):
+        resolve_log(tmp_path / "motor.toml", "a.csv")

@@ -182,6 +182,7 @@ def test_ramp_points_of_a_creeping_command() -> None:
     ("u", "direction", "words"),
     [
         ([0.0, 0.5, -1.0], "forward", 'commands run from u = -1 to 0.5; set direction = "reversal"'),
+        ([-0.3, -0.9, -0.4], "forward", 'commands run from u = -0.9 to -0.3; set direction = "reverse"'),
         ([0.0, -0.5, 0.4], "reverse", 'commands run from u = -0.5 to 0.4; set direction = "reversal"'),
         ([0.0, 0.5, 0.9], "reversal", "commands only run from u = 0 to 0.9"),
     ],
