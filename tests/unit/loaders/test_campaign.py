@@ -237,7 +237,7 @@ def test_every_commented_line_of_a_template_is_valid_in_its_place(kind, tmp_path
 
 def test_a_folder_in_place_of_a_log_is_called_a_folder(tmp_path):
     (tmp_path / "logs").mkdir()
-    with pytest.raises(CampaignError, match="log 'logs' is a folder in .*; correct its path"):
+    with pytest.raises(CampaignError, match=r"log 'logs' is a folder in .*; correct its path"):
         resolve_log(tmp_path / "motor.toml", "logs")
     with pytest.raises(CampaignError, match=r"log 'a\.csv' does not exist in .*; correct its path"):
         resolve_log(tmp_path / "motor.toml", "a.csv")
