@@ -228,6 +228,14 @@ def figure_of(views: Sequence[View], title: str = "", *, across: bool = False) -
             for k, panel in enumerate(group):
                 axes = shared = figure.add_subplot(cell[k], sharex=shared)
                 _draw(axes, view, panel)
+                if across:
+                    axes.yaxis.set_major_locator(MaxNLocator(1 if panel.low else 3))
+                    lowest, highest = axes.get_ylim()
+                    inside = [y for y in axes.get_yticks() if lowest <= y <= highest]
+                    # A low panel has room for two labels that are far apart, or for one.
+                    ends = [inside[0], inside[-1]] if inside else []
+                    far = bool(ends) and ends[1] - ends[0] > 0.6 * (highest - lowest)
+                    axes.set_yticks((ends if far else ends[:1]) if panel.low else inside)
                 last = panel is group[-1] and g >= len(groups[v]) - (columns if across else 1)
                 axes.tick_params(labelbottom=last)
                 if not across:
