@@ -117,7 +117,9 @@ def parse_quantity(text: str, expected: str) -> float:
     number, unit = match.groups()
     if not unit and expected != "1":
         # Nothing of a drone is as long as 10 m.
-        likely = "mm" if expected == "m" and abs(float(number)) >= 10 else expected
+        long = expected == "m" and abs(float(number)) >= 10
+        # Angles are read off in degrees.
+        likely = "mm" if long else "deg" if expected == "rad" else expected
         raise UnitError(f"{text!r} has no unit; expected for example '{number} {likely}'")
     try:
         return float(number) * factor_to_si(unit, expected)

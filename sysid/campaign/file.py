@@ -128,11 +128,11 @@ def resolve_log(campaign_path: str | Path, log: str) -> Path:
     """Return the path of a log named in a campaign; CampaignFileError when there is no such file."""
     path = Path(campaign_path).parent / log
     try:
-        there = path.is_file()
+        there, folder = path.is_file(), path.is_dir()
     except OSError:  # such as too long a name
-        there = False
+        there = folder = False
     if not there:
-        found = "is a folder" if path.is_dir() else "does not exist"
+        found = "is a folder" if folder else "does not exist"
         raise CampaignFileError(
             f"{campaign_path}: log {log!r:.99} {found} in {path.parent}; correct its path"
         )

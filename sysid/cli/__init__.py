@@ -25,7 +25,7 @@ from sysid.journal import heard_warnings
 from sysid.cli import logs, fits, landing  # noqa: F401  # isort: skip
 
 
-# What a wrong command line raises; newer versions of typer have a click of their own.
+# Class of the exceptions for a wrong command line; newer versions of typer bring their own click.
 _UsageError: Any = typer.BadParameter.__mro__[1]
 
 

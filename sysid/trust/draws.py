@@ -21,7 +21,8 @@ by 2.7; with step 2 they do not change it (1.01).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from zlib import crc32
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -33,7 +34,8 @@ from sysid.types import FloatArray
 
 # Number of draws that a fit stores.
 STORED = 200
-# Seed of all draws: those of one fit are equal in every command.
+# Seed of the random numbers [1], beside the names of what is drawn: every command draws alike from one fit,
+# and a gear and its motor, or an interval alone, independently.
 _SEED = 27
 # Normal numbers at the ends of the intervals and, by extrapolation, beyond any draw.
 _KNOTS = np.array([-NORMAL_95, -np.sqrt(CHI2[0.68]), 0.0, np.sqrt(CHI2[0.68]), NORMAL_95])
@@ -57,7 +59,7 @@ def joint_draws(
         rows = np.tile(values, (4, 1))
         rows[:, i] = row.interval_95[0], row.interval_68[0], row.interval_68[1], row.interval_95[1]
         knots[[0, 1, 3, 4], i] = space.encode(rows)[:, i]
-    normal = _normal(max(count, STORED), arrays["correlation"])
+    normal = _normal(max(count, STORED), arrays["correlation"], space.names)
     loose = np.array([i < len(found) and any(found[i].open_95) for i in range(n)])
     tied = ~loose
     points = centre + deviation * normal
@@ -81,18 +83,22 @@ def joint_draws(
     return np.asarray(np.clip(points[:count], 0.0, 1.0))
 
 
-def evenly(intervals: Sequence[Sequence[float]], count: int) -> FloatArray:
-    """Return independent draws (count, n), uniform over n intervals."""
-    ends = np.array(intervals, dtype=np.float64).reshape(-1, 2)
-    levels = ndtr(_normal(max(count, STORED), np.eye(len(ends)))[:count])
+def evenly(intervals: Mapping[str, Sequence[float]], count: int) -> FloatArray:
+    """Return independent draws (count, n), uniform over the intervals of n numbers by name."""
+    ends = np.array(list(intervals.values()), dtype=np.float64).reshape(-1, 2)
+    levels = ndtr(_normal(max(count, STORED), np.eye(len(ends)), intervals)[:count])
     return np.asarray(ends[:, 0] + levels * (ends[:, 1] - ends[:, 0]))
 
 
-def _normal(count: int, correlation: FloatArray) -> FloatArray:
-    """Return stratified normal numbers (count, n) whose sample has a correlation (n, n)."""
+def _normal(count: int, correlation: FloatArray, names: Iterable[str]) -> FloatArray:
+    """Return stratified normal numbers (count, n) of n names whose sample has a correlation (n, n)."""
     n = len(correlation)
     grid = ndtri((np.arange(count) + 0.5) / count)
-    raw = np.random.default_rng(_SEED).permuted(np.tile(grid, (n, 1)), axis=1).T
+    raw = (
+        np.random.default_rng([_SEED, crc32(" ".join(names).encode("utf-8"))])
+        .permuted(np.tile(grid, (n, 1)), axis=1)
+        .T
+    )
     white = np.linalg.solve(np.linalg.cholesky(np.cov(raw.T, ddof=0).reshape(n, n)), raw.T).T
     values, vectors = np.linalg.eigh(correlation)
     return np.asarray(white @ (vectors * np.sqrt(np.maximum(values, 0.0))).T)

@@ -35,8 +35,9 @@ def draw_values(
     rows = space.full(joint_draws(space, document, arrays, count))
     kept = [i for i in range(rows.shape[1]) if i not in space.columns and np.isfinite(best[i])]
     rows[:, kept] = best[kept]
-    loose = [i for i in kept if result.parameters[i].name in judged]
-    rows[:, loose] = evenly([judged[result.parameters[i].name].interval_95 for i in loose], count)
+    names = [result.parameters[i].name for i in kept]
+    intervals = {name: judged[name].interval_95 for name in names if name in judged}
+    rows[:, [kept[names.index(name)] for name in intervals]] = evenly(intervals, count)
     return opened.kind.numbers(opened.whole, rows)
 
 
@@ -52,7 +53,7 @@ def drawn_sets(source: str | Path, count: int) -> ParameterSets:
     """Return draws of a fit as sets, in place of the ranked ones; their rank is the number of the draw.
 
     The first ones that the fit stores; of more than these, all are made again, which needs the campaign.
-    Raises `FitError` where the fit has no intervals, or those of an older version.
+    Raises `FitError` where the fit has no intervals, or an older version computed them.
     """
     if not (isinstance(count, int) and 1 <= count <= _MOST):
         raise FitError(f"{count!r:.60} draws of {source}: expected 1 or more, up to {_MOST}, for example 50")

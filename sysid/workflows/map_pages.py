@@ -63,6 +63,8 @@ def map_page(path: Path) -> str:
         f"speeds and {len(charts[0].up.values)} slopes each"
         + (f"; {lost} landings could not be simulated" if lost else "")
     )
+    if content.maps[0].numbers and DRAWS not in content.provenance["motor"]:
+        words += "; the motor has no draws, so its best set goes with every one"
     table = markup_table(maps_table([chart.summary() for chart in content.maps]))
     explored = explorer(charts, rules, notes)
     box = _map_answer(content, words)
