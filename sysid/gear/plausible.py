@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sysid.campaign import GearCampaign, GearTrial
+from sysid.errors import CampaignError
 from sysid.journal import notice
 from sysid.trials.look import DropReport
 
@@ -28,6 +29,9 @@ _LEG_MASS = 0.016
 _LEG_INERTIA = 0.0048
 # Length of a board, as a multiple of the feet's distance [1].
 _BOARD = 5.0
+
+# Factor beyond these limits that only a wrong unit explains [1].
+_ABSURD = 10.0
 
 
 def notice_contradictions(campaign: GearCampaign, trial: GearTrial, seen: DropReport | None) -> None:
@@ -72,38 +76,47 @@ def _notice(trial: str, what: str, stated: str, shown: str, size: float = 0.0) -
 
 
 def notice_odd_vehicle(campaign: GearCampaign) -> None:
-    """Notice a mass or an inertia that no vehicle of that size has."""
+    """Notice a mass or an inertia that no vehicle of that size has.
+
+    CampaignError where it is `_ABSURD` times beyond what vehicles have: that is a slip of a unit.
+    """
     vehicle = campaign.vehicle
     mass, inertia = vehicle.body_mass, vehicle.body_inertia
     if mass is None or inertia is None:
         return
     size = float(np.hypot(vehicle.foot_dx, vehicle.foot_dz))
     gyration, density = float(np.sqrt(inertia / mass)), mass / size**3
-    if not _GYRATION[0] <= gyration / size <= _GYRATION[1]:
-        notice(
-            "odd-inertia",
-            f"sqrt(body_inertia/body_mass) = {1e3 * gyration:.0f} mm is {gyration / size:.2g} of the feet's "
-            f"distance from the centre of mass ({1e3 * size:.0f} mm); vehicles have {_GYRATION[0]:g} to "
-            f"{_GYRATION[1]:g}: check body_mass ({mass:.4g} kg), body_inertia ({inertia:.4g} kg·m²) and "
-            "their units",
-        )
-    if not _DENSITY[0] <= density <= _DENSITY[1]:
-        notice(
-            "odd-mass",
-            f"body_mass = {mass:.4g} kg with feet {1e3 * size:.0f} mm from the centre of mass is "
-            f"{density:.3g} kg/m³; vehicles have {_DENSITY[0]:g} to {_DENSITY[1]:g}: check the mass, the "
-            "lengths and their units",
-        )
+    _hold(
+        "odd-inertia", (gyration / size) ** 2, (_GYRATION[0] ** 2, _GYRATION[1] ** 2),
+        f"sqrt(body_inertia/body_mass) = {1e3 * gyration:.0f} mm is {gyration / size:.2g} of the feet's "
+        f"distance from the centre of mass ({1e3 * size:.0f} mm); vehicles have {_GYRATION[0]:g} to "
+        f"{_GYRATION[1]:g}: check body_mass ({mass:.4g} kg), body_inertia ({inertia:.4g} kg·m²) and "
+        "their units",
+    )  # fmt: skip
+    _hold(
+        "odd-mass", density, _DENSITY,
+        f"body_mass = {mass:.4g} kg with feet {1e3 * size:.0f} mm from the centre of mass is "
+        f"{density:.3g} kg/m³; vehicles have {_DENSITY[0]:g} to {_DENSITY[1]:g}: check the mass, the "
+        "lengths and their units",
+    )  # fmt: skip
     for name, value, usual, most in (
         ("thrust_point_dx", vehicle.thrust_point_dx, _THRUST_POINT * size, 10.0),
         ("leg_mass", vehicle.leg_mass, _LEG_MASS * mass, 50.0),
         ("leg_inertia", vehicle.leg_inertia, _LEG_INERTIA * mass * size**2, 50.0),
         ("board_length", campaign.surface.board_length, _BOARD * size, 50.0),
     ):
-        if value is not None and not 1 / most <= value / usual <= most:
+        if value is not None:
             ratio = float(f"{value / usual:.2g}")
-            notice(
-                f"odd-{name.replace('_', '-')}",
+            _hold(
+                f"odd-{name.replace('_', '-')}", value / usual, (1 / most, most),
                 f"{name} = {value:.4g} is {ratio:g} × what a vehicle of this mass and size has (about "
                 f"{usual:.2g}): check the value and its unit",
-            )
+            )  # fmt: skip
+
+
+def _hold(code: str, value: float, usual: tuple[float, float], sentence: str) -> None:
+    """Notice a value outside of what is usual; refuse one far outside."""
+    if not usual[0] / _ABSURD <= value <= usual[1] * _ABSURD:
+        raise CampaignError(sentence)
+    if not usual[0] <= value <= usual[1]:
+        notice(code, sentence)

@@ -31,13 +31,15 @@ from sysid.motor.static_curves import (
     turns,
 )
 from sysid.recording import Recording
-from sysid.trials.bench_log import signed_speed, tare
+from sysid.trials.bench_log import check_command_direction, signed_speed, tare
 from sysid.trials.steady import SETTLE, SteadyPoints, sign_against_speed
 from sysid.types import FloatArray, Rotation
 
 # Distance of steady levels from a straight line over the command, over the top speed, beyond which the
 # levels themselves are the supply law [1]: a line within it costs an NRMSE of 3 % at most.
 _BENT = 0.01
+# Torques of a log without propeller and of a log with one, over those of the trials at the same speed [1].
+_BARE, _LEAST_LOADED, _MOST_LOADED = 0.3, 0.5, 2.0
 _ROTATIONS: tuple[Rotation, Rotation] = ("forward", "reverse")
 
 
@@ -95,9 +97,10 @@ def _curve_log(
 
 def _rows_as_points(campaign: MotorCampaign, recording: Recording, direction: Rotation) -> SteadyPoints:
     """Return the rows of an averaged log that turn, tare subtracted and signs settled."""
-    where = recording.provenance.path
+    where = str(recording.provenance.path)
     command = recording["command"]
     u = campaign_range(campaign).to_u(command.values, command.unit, where)
+    check_command_direction(u, direction, where)
     speed = signed_speed(recording["speed"].values, direction, where)
     turning = np.nan_to_num(speed) != 0
     rest = (np.abs(u) < 1e-9) & ~turning
@@ -171,6 +174,7 @@ def static_curves(
     for direction in _ROTATIONS:
         if not turning & {direction, "reversal"}:
             continue
+        _check_propeller(direction, curve_logs, logs)
         points, source = _loaded_points(direction, curve_logs, logs)
         loaded[direction] = points
         bare = _named(curve_logs, "no_load", direction)
@@ -215,6 +219,36 @@ def static_curves(
 
 def _named(curve_logs: Sequence[CurveLog], table: str, direction: Rotation) -> list[CurveLog]:
     return [log for log in curve_logs if log.table == table and log.entry.direction == direction]
+
+
+def _check_propeller(direction: Rotation, curve_logs: Sequence[CurveLog], logs: Sequence[BenchLog]) -> None:
+    """Refuse a curve's log whose torque is not that of the trials' propeller, or of none under no_load."""
+    loads = _drags(direction, SteadyPoints.join([log_points(log) for log in logs])) if logs else np.zeros(0)
+    if not loads.size:
+        return
+    for table, least, most, word in (
+        ("static", _LEAST_LOADED, _MOST_LOADED, "with the propeller of the trials"),
+        ("no_load", -np.inf, _BARE, "without propeller"),
+    ):
+        for log in _named(curve_logs, table, direction):
+            seen = _drags(direction, log.points)
+            share = float(np.median(seen) / np.median(loads)) if seen.size else np.nan
+            if share < least or share > most:
+                other = "static" if table == "no_load" else "no_load" if share < _BARE else ""
+                step = f"name it under curves.{other}" if other else "name the log of the trials' propeller"
+                raise LogError(
+                    f"{log.entry.log}, named under curves.{table}, {direction}: its torque is "
+                    f"{share:.2g} of the trials' at the same speed; expected a log {word}: {step}, or "
+                    "correct its torque unit"
+                )
+
+
+def _drags(direction: Rotation, points: SteadyPoints) -> FloatArray:
+    """Return τ/(Ω|Ω|) [N·m·s²] of the faster half of the steady points of a direction, where known."""
+    here = turns(points.speed, direction) & np.isfinite(points.torque)
+    speed, torque = points.speed[here], points.torque[here]
+    fast = np.abs(speed) > 0.5 * np.max(np.abs(speed), initial=0.0)
+    return np.asarray(torque[fast] / (speed[fast] * np.abs(speed[fast])))
 
 
 def _loaded_points(

@@ -303,9 +303,10 @@ def check_command_direction(u: FloatArray, direction: Direction, where: str) -> 
             )
     elif backward if direction == "forward" else ahead:
         seen = "reversal" if backward and ahead else "reverse" if backward else "forward"
+        cut = ", cut the trial with start and end," if seen == "reversal" else ""
         raise LogError(
             f"{where}: a {direction} trial whose commands run from u = {low:.3g} to {high:.3g}; set "
-            f'direction = "{seen}", cut the trial with start and end, or correct command.neutral'
+            f'direction = "{seen}"{cut} or correct command.neutral'
         )
 
 

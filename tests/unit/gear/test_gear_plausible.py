@@ -5,7 +5,7 @@ import re
 import pytest
 
 from sysid.campaign import read_campaign
-from sysid.errors import LogError
+from sysid.errors import CampaignError, LogError
 from sysid.gear.story import GearStory
 from sysid.journal import Journal
 from sysid.synthetic import synthesize_gear
@@ -87,3 +87,19 @@ def test_a_vehicle_that_cannot_be_is_named(folder, field, factor, words):
     assert len(found) == len(words)
     for word, sentence in zip(words, found, strict=True):
         assert word in sentence
+
+
+@pytest.mark.parametrize(
+    ("field", "slip", "words"),
+    [
+        ("body_mass", 1e-3, "sqrt(body_inertia/body_mass)"),
+        ("body_inertia", 1e3, "sqrt(body_inertia/body_mass)"),
+        ("leg_inertia", 1e3, "leg_inertia"),
+        ("thrust_point_dx", 1e3, "thrust_point_dx"),
+    ],
+)
+def test_a_slip_of_a_unit_is_refused(folder, field, slip, words):
+    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+    value = float(re.search(rf'{field} = "([\d.e-]+)', text)[1])
+    with pytest.raises(CampaignError, match=re.escape(words)):
+        noticed(folder, (rf'{field} = "[\d.e-]+', f'{field} = "{slip * value:.6g}'))

@@ -9,7 +9,7 @@ import pytest
 from fakes.lab import MOTOR_LAB, misstated, scaled
 from fakes.motor_bench import bench_of, edited, problem_of
 from sysid.campaign import read_campaign
-from sysid.errors import CampaignError
+from sysid.errors import CampaignError, LogError
 from sysid.motor.model import PARAMETERS, thrust
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
 from sysid.workflows.check import check_campaign
@@ -213,3 +213,16 @@ def test_a_set_with_moved_curves_drives_the_motor_model(path):
     expected = PARAMETERS.filled({name: value for name, value in values.items() if name in PARAMETERS})
     assert PARAMETERS.filled(values) == expected
     assert thrust(800.0, values) > 1.0
+
+
+@pytest.mark.parametrize(("table", "log", "other", "words"), [
+    ("static", "static-forward", "no-load-forward", "name it under curves.no_load"),
+    ("no_load", "no-load-forward", "static-forward", "name it under curves.static"),
+    ("static", "static-forward", "static-reverse", "whose commands run from u = -1 to 0"),
+])  # fmt: skip
+def test_a_log_of_another_curve_is_refused(table, log, other, words, path):
+    text = path.read_text(encoding="utf-8")
+    text = re.sub(rf'\{{ log = "{other}.csv".*?\}},', "", text)
+    path.write_text(text.replace(f"{log}.csv", f"{other}.csv"), encoding="utf-8")
+    with pytest.raises(LogError, match=rf"{other}\.csv.*({words})"):
+        bench_of(path)
