@@ -166,7 +166,10 @@ def adequacy(
     if not known.any():
         return _unjudged(problem, nrmse)
     share = np.where(known, weights, 0.0) / (1.0 if known.all() else weights[known].sum())
-    left = share @ nrmse_of(blocks, rest)
+    # As the search states it, unless errors of the measured inputs explain a part, which the sentence names.
+    cost = nrmse if known.all() else float(share @ nrmse_of(blocks, whole))
+    left = float(share @ nrmse_of(blocks, rest))
+    left = left if left < (1.0 - _SHOWS) * cost else cost
     # Squares of residuals over noise, and samples, by channel, trial and phase.
     kinds = list(dict.fromkeys(name for names in phases for name in names))
     size = (len(problem.channels), len(problem.trials), len(kinds))
@@ -197,7 +200,7 @@ def adequacy(
         trial_ratio=by_trial[channel, trial],
     )
     floor = noise_floor(blocks) if known.all() else float(share[known] @ noise[known])
-    ratio = float(left / floor)
+    ratio = left / floor
     verdict, but_for = verdict_of(max(ratio, misfit.channel_ratio)), ""
     if verdict != EXPLAINED_BY and not lost[0] and (but_for := _small_misfit(problem, rest)):
         verdict = ROUGHLY_BY
@@ -329,8 +332,8 @@ def _lasting(problem: Problem, residuals: FloatArray, channel: int) -> float:
 def scores_in_words(nrmse: float, floor: float, ratio: float) -> str:
     """Return the NRMSE of the best set beside the noise; numbers as in `Adequacy`.
 
-    The ratio is without what errors of the measured inputs (curves, tares, starts) explain; where that part
-    is 5 % or more, so is the NRMSE without.
+    The ratio is without what errors of the measured inputs (curves, tares, starts) explain where that part is
+    5 % or more, and the NRMSE without it stands beside.
     """
     shows = ratio * floor < (1.0 - _SHOWS) * nrmse
     explained = ", {:.2f} % without what errors of the measured inputs explain" if shows else ""

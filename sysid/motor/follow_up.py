@@ -205,7 +205,8 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
         notice(
             "inductance-unresolved",
             f"L/R of the best set is {1e3 * rise:.3g} ms, but the fastest fitted log has a row every "
-            f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small; record at 1 kHz",
+            f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small; record "
+            + ("at 1 kHz" if finest > 1e-3 else "more often"),
         )
 
     unknown = untested_rows(campaign, bench)

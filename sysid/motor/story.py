@@ -90,7 +90,9 @@ class MotorStory(Story[MotorProblem]):
 
     def advice(self, weak: Collection[str]) -> list[str]:
         """Return what to record next for the parameters that bench trials do not determine well."""
-        out = [sentence for name, sentence in _ADVICE.items() if name in weak]
+        slow = not any(trial.log.fast for trial in self.problem.prepared)
+        told = weak if slow else {*weak} - {"winding_inductance"}
+        out = [sentence for name, sentence in _ADVICE.items() if name in told]
         if "winding_inductance" in self.problem.bench.guessed & {*self.problem.space.fixed}:
             out.append(NO_INDUCTANCE)
         if not any(trial.entry.direction == "reversal" for trial in self.problem.prepared):

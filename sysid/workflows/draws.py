@@ -58,6 +58,11 @@ def drawn_sets(source: str | Path, count: int) -> ParameterSets:
     if not (isinstance(count, int) and 1 <= count <= _MOST):
         raise FitError(f"{count!r:.60} draws of {source}: expected 1 or more, up to {_MOST}, for example 50")
     folder = fit_folder(Path(source))
+    if Path(source).is_file() and folder == Path(source):
+        raise FitError(
+            f"{source}: --draws {count} needs the folder of a fit, and this is a file; name the folder that "
+            "sysid fit wrote, or leave --draws out"
+        )
     fit = read_fit(source)
     document = TrustDocument.read(folder)
     if document is None:

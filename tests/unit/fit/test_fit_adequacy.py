@@ -46,6 +46,8 @@ def test_noise_explains_the_truth_and_nothing_is_noticed(tmp_path):
         0.8 < channel.ratio < 1.2 and abs(channel.autocorrelation) < 0.15 for channel in found.channels
     )
     assert misfit_finding(found) == ()
+    # One ratio in every command: errors of the inputs explain little here.
+    assert found.ratio == pytest.approx(found.nrmse / found.floor, rel=1e-12)
 
 
 def test_ratio_and_nrmse_of_a_verdict_are_of_one_definition():

@@ -132,6 +132,8 @@ def test_draws_of_a_fit_are_exported_and_tabulated(lag, run, tmp_path):
     code, _, err = run("export", lag[1], "--draws", "0", "--out", tmp_path / "none.json")
     assert code == 2
     assert "--draws" in err
+    code, _, err = run("export", tmp_path / "draws.json", "--draws", "5", "--out", tmp_path / "none.json")
+    assert (code, "--draws 5 needs the folder of a fit" in err) == (2, True)
     assert not (tmp_path / "none.json").exists()
 
 
