@@ -3,16 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Generic, TypeVar
+from dataclasses import dataclass, field
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from sysid.fit.problem import Problem
+from sysid.fit.result import FitResult
 from sysid.journal import tell
 from sysid.parameters import common_name
+from sysid.stated import error_of
 from sysid.types import FloatArray
 
 P = TypeVar("P", bound=Problem)
+
+
+# Seed of the errors that a prediction has of its own [1].
+_SEED = 28
+
+
+class Read(NamedTuple):
+    """A number of use, read from a measurement, the prediction by the best set, and those by draws."""
+
+    what: str
+    unit: str
+    # (2 + n,) NaN where a track does not show it.
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class ReadTrial:
+    """What is read from a trial and its predictions: numbers, and in words how each of them ends."""
+
+    numbers: list[Read]
+    ends: list[str] | None = None
+    # Further keys of a validated trial.
+    more: Mapping[str, object] = field(default_factory=dict)
 
 
 class Story(Generic[P]):
@@ -112,6 +138,20 @@ class Story(Generic[P]):
         """Return points behind what the fit takes as known at a row (n_table,): x and y (n,) [SI] by name."""
         return {}
 
-    def beyond(self, rows: FloatArray) -> list[dict[str, object]]:
-        """Return what a validation adds to the scores of each trial, predicted by rows (S, n_table) [SI]."""
-        return [{} for _ in self.problem.trials]
+    def drawn(self, fit: FitResult, values: FloatArray) -> FloatArray:
+        """Return rows (n, n_table) [SI] by which values (n, parameters) of a fit predict these trials.
+
+        The first ones are the best set's. What the fit has not found is drawn from the error that the
+        campaign states of it.
+        """
+        space, rows = self.problem.space, self.problem.adopt(fit, values)
+        random = np.random.default_rng(_SEED)
+        for name, value in space.stated.items():
+            column = space.table.index[name]
+            if np.all(rows[:, column] == self.problem.base[column]):
+                rows[1:, column] += error_of(value) * random.standard_normal(len(rows) - 1)
+        return rows
+
+    def read(self, fit: FitResult, values: FloatArray) -> list[ReadTrial]:
+        """Return numbers of use of every trial, predicted by values (n, parameters) of a fit, best first."""
+        return [ReadTrial([]) for _ in self.problem.trials]

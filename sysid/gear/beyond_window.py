@@ -1,31 +1,36 @@
 """What a log says beyond the compared window: where the body comes to rest, about which point it turns.
 
 A start that noise has moved by a tenth of a millimetre ends elsewhere after five bounces, so one simulated
-resting place proves nothing. The spread over starts drawn from their uncertainty says what can be known.
+resting place proves nothing. The spread over draws of the fit and of the start says what can be known.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict, Unpack
+from typing import Unpack
 
 import numpy as np
 from scipy import signal
 
 from sysid.campaign import GearCampaign
 from sysid.filters import bridge_gaps, runs
+from sysid.fit.story import Read, ReadTrial
 from sysid.gear.drops import PreparedDrop
 from sysid.gear.model import PARAMETERS, Drops, Ending, Simulation, find_surface, simulate_population
 from sysid.gear.starts import start_roots
+from sysid.gear.stated import Moved
 from sysid.journal import notice
-from sysid.types import FloatArray
+from sysid.parameters import ParameterTable
+from sysid.types import FloatArray, IntArray
 
-# Number of starts that are drawn per set.
-_STARTS = 20
 # The rules of rest.
 _REST = Ending()
 # Time over which rates of the measurement are taken [s]: differences of single samples are noise.
 _SMOOTH = 0.11
+# Longest time after the touchdown that is looked at [s].
+_LONGEST = 5.0
+# Time that simulations go on beyond a log [s].
+_BEYOND = 1.0
 # Least number of samples of a flight phase that shows the centre of mass.
 _LEAST_FLIGHT = 8
 # Least height of the feet in a flight phase [m].
@@ -36,86 +41,117 @@ _SURE, _FAR = 4.0, 3e-3
 FlightPhase = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
-class StopSpread(TypedDict):
-    """A measured number beside the mean and deviation of simulated ones."""
+def read_drop(
+    drop: PreparedDrop, table: ParameterTable, rows: FloatArray, board_length: float | None, **simulation: Unpack[Simulation]
+) -> ReadTrial:
+    """Return numbers of use of a drop and of its simulations by rows (n, n_table) [SI], best set first.
 
-    measured: float
-    mean: float
-    sigma: float
-
-
-class Stop(TypedDict):
-    """Place [m, down-slope] and time [s] of a drop's end since its first touchdown."""
-
-    place: StopSpread
-    time: StopSpread
-    # Whether the measured body came to rest, and which share of the simulated ones did [1].
-    measured_stops: bool
-    share_stops: float
-
-
-def stopping(
-    drop: PreparedDrop, rows: FloatArray, board_length: float | None, **simulation: Unpack[Simulation]
-) -> Stop:
-    """Return place [m, down-slope] and time [s] of the end of a drop since its first touchdown.
-
-    The end is the beginning of rest (`Ending`), else the end of the log, or where the body leaves the board.
-    `rows` (S, n_table) are the sets [SI]; `board_length` counts down-slope from the touchdown [m].
+    All but the best set's start within the noise that measured their start, and are seen with the capture's
+    noise. `board_length` counts down-slope from the first touchdown [m]. Place and time of rest count from
+    there as well.
     """
-    motion, tangent = drop.motion, drop.feet.tangent
-    touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ tangent)
-    last = motion.time[-1]
-    if board_length is not None:
-        along = np.column_stack([motion.x, motion.z]) @ tangent
-        gone = np.flatnonzero((motion.time > drop.touchdown) & (along - touch > board_length))
-        last = motion.time[gone[0]] if gone.size else last
-    after = motion.time[(motion.time >= drop.time[0]) & (motion.time <= last)]
-    measured_time, measured_place, stops = _measured(drop, after)
-    roots = start_roots(drop)
-    normal = np.random.default_rng(0).standard_normal((len(rows) * _STARTS, len(roots)))
-    starts = drop.initial_state + normal @ roots
-    many = np.repeat(rows[:, : len(PARAMETERS)], _STARTS, axis=0)
-    # Rest is seen once it has lasted: simulated on, it shows up to the end of the log.
-    beyond = after[-1] + np.arange(1, round(1.5 * _REST.rest_time * motion.rate) + 1) / motion.rate
-    clock = np.concatenate([after, beyond])
-    jobs = Drops(np.array([drop.slope]), drop.initial_state[None], (clock,))
-    flown = simulate_population(many, jobs, body_states=starts[:, None], **simulation)
-    good = flown.status[:, 0] == 0
-    length = float(after[-1] - after[0])
-    rests = np.nan_to_num(flown.rest[:, 0], nan=np.inf) < length
-    end = np.where(rests, flown.rest[:, 0], length)
-    since = drop.touchdown - after[0]
-    index = np.minimum(np.searchsorted(after - after[0], end), len(after) - 1)
-    at = flown.samples[np.arange(len(many)), index, :2] @ tangent
-
-    def spread(measured: float, simulated: FloatArray) -> StopSpread:
-        mean, sigma = (simulated.mean(), simulated.std()) if good.any() else (np.nan, np.nan)
-        return {"measured": float(measured), "mean": float(mean), "sigma": float(sigma)}
-
-    return {
-        "place": spread(measured_place - touch, (at - touch)[good]),
-        "time": spread(measured_time - drop.touchdown, (end - since)[good]),
-        "measured_stops": stops,
-        "share_stops": float(np.mean(rests[good])) if good.any() else float("nan"),
-    }
+    motion, random = drop.motion, np.random.default_rng(0)
+    chosen = (motion.time >= drop.time[0]) & (motion.time <= drop.touchdown + _LONGEST)
+    clock = motion.time[chosen]
+    # Rest is seen once it has lasted: simulations go on beyond the log.
+    longer = np.concatenate([clock, clock[-1] + np.arange(1, int(_BEYOND * motion.rate)) / motion.rate])
+    normal = random.standard_normal((len(rows), 6))
+    normal[0] = 0.0
+    moved = Moved.of(table, rows, (drop,))
+    captured = np.repeat(drop.initial_state[None, None], len(rows), axis=0)
+    captured = captured if moved is None else moved.released((drop,))
+    captured = captured + (normal @ start_roots(drop))[:, None]
+    jobs = Drops(np.array([drop.slope]), drop.initial_state[None], (longer,))
+    flown = simulate_population(
+        rows[:, : len(PARAMETERS)], jobs, body_states=captured if moved is None else moved.starts(captured),
+        slopes=None if moved is None else moved.slopes, **simulation,
+    )  # fmt: skip
+    samples = flown.samples
+    if moved is not None:
+        moved.as_captured(samples, 0)
+    tracks = samples[:, :, :3]
+    tracks[1:] += random.standard_normal(tracks[1:].shape) * drop.flight.noise
+    tracks[flown.status[:, 0] != 0] = np.nan
+    measured = bridge_gaps(motion.coordinates(), motion.valid)[None, chosen]
+    parts = [_read(drop, time, track, clock[-1], board_length) for time, track in ((clock, measured), (longer, tracks))]
+    numbers = [
+        Read(one.what, one.unit, np.concatenate([one.values, other.values]))
+        for one, other in zip(parts[0].numbers, parts[1].numbers, strict=True)
+    ]
+    # The first touchdown is where the simulations begin.
+    known = min((each for each in numbers if "first" in each.what), key=lambda each: each.values[0])
+    return ReadTrial(
+        [each for each in numbers if each is not known], [*parts[0].ends, *parts[1].ends],
+        {"slope_deg": float(np.degrees(drop.slope))},
+    )  # fmt: skip
 
 
-def _measured(drop: PreparedDrop, after: FloatArray) -> tuple[float, float, bool]:
-    """Return when [s] and where along the slope [m] the measured body came to rest, and whether it did."""
-    motion = drop.motion
-    rows = (motion.time >= after[0]) & (motion.time <= after[-1])
-    filled = bridge_gaps(motion.coordinates(), motion.valid)[rows]
-    width = min(2 * int(_SMOOTH * motion.rate / 2) + 1, len(filled) - 1 + len(filled) % 2)
+def _read(
+    drop: PreparedDrop, clock: FloatArray, tracks: FloatArray, log_end: float, board_length: float | None
+) -> ReadTrial:
+    """Return the numbers of tracks (n, samples, 3) of x, z, pitch [m, m, rad], all read alike."""
+    since, last = clock - drop.touchdown, len(clock) - 1
+    touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ drop.feet.tangent)
+    width = min(2 * int(_SMOOTH * drop.motion.rate / 2) + 1, last + last % 2)
     smooth, rates = (
-        signal.savgol_filter(filled, width, 2, deriv=order, delta=1 / motion.rate, axis=0) for order in (0, 1)
+        signal.savgol_filter(tracks, width, 2, deriv=order, delta=1 / drop.motion.rate, axis=1)
+        for order in (0, 1)
     )
-    still = (np.hypot(rates[:, 0], rates[:, 1]) < _REST.rest_speed) & (np.abs(rates[:, 2]) < _REST.rest_turn)
-    still &= after > drop.touchdown
-    moving = np.flatnonzero(~still)
-    first = int(moving[-1]) + 1 if len(moving) else 0
-    stops = first < len(after) and after[-1] - after[first] >= _REST.rest_time
-    at = first if stops else len(after) - 1
-    return float(after[at]), float(smooth[at, :2] @ drop.feet.tangent), bool(stops)
+    along = smooth[:, :, :2] @ drop.feet.tangent - touch
+    with np.errstate(invalid="ignore"):
+        still = np.hypot(rates[:, :, 0], rates[:, :, 1]) < _REST.rest_speed
+        still &= (np.abs(rates[:, :, 2]) < _REST.rest_turn) & (since > 0)
+        gone = along > (np.inf if board_length is None else board_length)
+        leans = np.abs(tracks[:, :, 2] - drop.slope) > _REST.flip_angle
+    # The first sample after which a body stays slow for the time of rest.
+    lasting = max(1, round(_REST.rest_time * drop.motion.rate))
+    slow = np.cumsum(np.pad(still, ((0, 0), (1, 0))), axis=1, dtype=np.int64)
+    rest = np.zeros_like(still)
+    rest[:, : max(0, last + 2 - lasting)] = slow[:, lasting:] - slow[:, :-lasting] == lasting
+    within = clock <= log_end + 1e-9
+    end = np.where(gone.any(axis=1), np.argmax(gone, axis=1), last)
+    first = np.argmax(rest, axis=1)
+    rests = rest.any(axis=1) & (first <= end)
+    at = np.where(rests, first, end)
+    each, nan = np.arange(len(tracks)), np.where(rests, 1.0, np.nan)
+    until = (np.arange(last + 1) <= at[:, None]) & (since > 0) & within
+    numbers = [
+        Read("rest place", "cm", 100 * along[each, at] * nan),
+        Read("time to rest", "ms", 1000 * since[at] * nan),
+        Read("largest pitch", "deg", np.degrees(np.max(np.where(until, np.abs(tracks[:, :, 2]), 0), axis=1))),
+    ]
+    clear = drop.feet.clearances(*np.moveaxis(tracks, 2, 0))
+    for foot, name in enumerate(("rear foot", "front foot")):
+        landed, height = None, clear[:, :, foot]
+        for nth in ("first", "second"):
+            landed = _touchdown(height, landed)
+            numbers.append(Read(f"touchdown, {nth} of the {name}", "ms", 1000 * _crossing(since, height, landed)))
+    lost = ~np.isfinite(tracks).all(axis=(1, 2))
+    cases = [lost, (leans & within).any(axis=1), (gone & within).any(axis=1), rests & within[at]]
+    words = ["simulation failed", "flipped", "left the board", "at rest"]
+    return ReadTrial(numbers, np.select(cases, words, "still moving").tolist())
+
+
+def _touchdown(height: FloatArray, before: IntArray | None) -> IntArray:
+    """Return at which sample (n,) a foot comes down to the surface, once it was clear of it; -1: never.
+
+    `height` (n, samples) is of the foot with its leg unloaded [m]; `before` an earlier touchdown (n,).
+    """
+    index = np.arange(height.shape[1])
+    free = (height > _CLEAR) & (index > (-1 if before is None else before[:, None]))
+    cleared = np.where(free.any(axis=1), np.argmax(free, axis=1), height.shape[1])
+    down = (height <= 0) & (index > cleared[:, None])
+    known = down.any(axis=1) & (True if before is None else before >= 0)
+    return np.where(known, np.argmax(down, axis=1), -1)
+
+
+def _crossing(time: FloatArray, height: FloatArray, landed: IntArray) -> FloatArray:
+    """Return when (n,) [s] heights (n, samples) pass zero between a touchdown's sample and the one before."""
+    after = np.maximum(landed, 1)
+    each = np.arange(len(height))
+    high, low = height[each, after - 1], height[each, after]
+    share = high / np.maximum(high - low, 1e-12)
+    return np.where(landed > 0, time[after - 1] + share * (time[after] - time[after - 1]), np.nan)
 
 
 def centre_of_mass(drops: tuple[PreparedDrop, ...], campaign: GearCampaign) -> dict[str, float] | None:

@@ -211,6 +211,13 @@ class GearProblem(Problem):
         return replace(self, drops=tuple(drops[name] for name in names))
 
     @property
+    def with_rows_of_all(self) -> GearProblem:
+        """The problem in which slope, release and place of every drop are rows, not of fitted ones alone."""
+        trials = tuple(trial.model_copy(update={"use": "fit"}) for trial in self.campaign.trials)
+        campaign = self.campaign.model_copy(update={"trials": trials})
+        return replace(self, campaign=campaign, space=gear_space(campaign))
+
+    @property
     def exact(self) -> GearProblem:
         """The problem at the accuracy of trust, or finer."""
         return replace(self, tolerance=min(TRUST_TOLERANCE, fit_tolerance(self.campaign)))

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from sysid.fit.story import Story
-from sysid.gear.beyond_window import centre_of_mass, stopping
+from sysid.fit.result import FitResult
+from sysid.fit.story import ReadTrial, Story
+from sysid.gear.beyond_window import centre_of_mass, read_drop
 from sysid.gear.drops import lowpass_of
 from sysid.gear.model import PARAMETERS, EventKind, simulate
 from sysid.gear.out_of_plane import tell_limits
@@ -41,19 +42,15 @@ class GearStory(Story[GearProblem]):
             return {"kind": "none"}
         return lowpass.design() | {"simulation_filtered": self.problem.campaign.filter.filter_simulation}
 
-    def beyond(self, rows: FloatArray) -> list[dict[str, object]]:
-        """Return slope and resting place of every drop, over the sets and the starts' uncertainty.
+    def read(self, fit: FitResult, values: FloatArray) -> list[ReadTrial]:
+        """Return where and when every drop rests, its largest pitch, its touchdowns, and how it ends.
 
-        ``stop``: place [m, down-slope] and time [s] since the first touchdown, each measured, mean and sigma.
+        Slope and release of a drop that was not fitted have the errors that the campaign states of them.
         """
-        board = self.problem.campaign.surface.board_length
-        return [
-            {
-                "slope_deg": float(np.degrees(drop.slope)),
-                "stop": stopping(drop, rows, board, **self.problem.simulation),
-            }
-            for drop in self.problem.drops
-        ]
+        own = self.problem.with_rows_of_all
+        board, rows = own.campaign.surface.board_length, GearStory(own).drawn(fit, values)
+        table, how = own.space.table, own.simulation
+        return [read_drop(drop, table, rows, board, **how) for drop in own.drops]
 
     def quality(self) -> list[dict[str, object]]:
         """Return how good every log is, and how its fall begins and ends."""

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sysid.fit.story import Story
+from sysid.fit.result import FitResult
+from sysid.fit.story import Read, ReadTrial, Story
+from sysid.fit.trial import Trial
 from sysid.motor.cost import CHANNELS
 from sysid.motor.curves import supply_ratio
 from sysid.motor.inertia import spikes
@@ -16,9 +18,12 @@ from sysid.motor.model import PARAMETERS, unpack
 from sysid.motor.problem import MotorProblem
 from sysid.motor.static_curves import turns
 from sysid.motor.targets import filter_design
+from sysid.parameters import common_name
 from sysid.trials.look import inspect_recording, log_quality
 from sysid.types import FloatArray
 
+# Least number of samples after a command, and least change of the speed by it [1], that are read.
+_LEAST, _CHANGE = 20, 0.1
 _ADVICE = {
     "viscous_damping": (
         "to determine k_d: a log without propeller in which the unpowered rotor coasts down; beside a "
@@ -64,6 +69,31 @@ class MotorStory(Story[MotorProblem]):
     def filters(self) -> Mapping[str, object]:
         """The filter of the fast logs, and which logs went without."""
         return filter_design(self.problem.campaign, [trial.log for trial in self.problem.bench.trials])
+
+    def read(self, fit: FitResult, values: FloatArray) -> list[ReadTrial]:
+        """Return of every command how fast the motor turns in the end, when it does 90 %, when it reverses.
+
+        A log that the fit has not seen lags its command as its logs do, within their scatter.
+        """
+        problem, random = self.problem, np.random.default_rng(0)
+        rows, index = self.drawn(fit, values), problem.space.table.index
+        delays = np.array([
+            value for value, record in zip(fit.values[0], fit.parameters, strict=True)
+            if record.trial and common_name(record) == "command_delay"
+        ])  # fmt: skip
+        if len(delays) > 1:
+            scatter = delays.std(ddof=1) * np.sqrt(1 + 1 / len(delays))
+            for name in problem.row_logs:
+                if name in index and np.all(rows[:, index[name]] == rows[:, index["command_delay"]]):
+                    rows[1:, index[name]] += scatter * random.standard_normal(len(rows) - 1)
+        out = []
+        signals, noise = problem.predict(rows).signals, np.nan_to_num(problem.noise[:, 1])
+        for trial, predicted, sigma in zip(problem.trials, signals, noise, strict=True):
+            measured = np.where(trial.valid[:, 1], trial.measured[:, 1], np.nan)
+            tracks = np.concatenate([measured[None], predicted[:, :, 1]])
+            tracks[2:] += sigma * random.standard_normal(tracks[2:].shape)
+            out.append(_read(trial, tracks))
+        return out
 
     def quality(self) -> list[dict[str, object]]:
         """Return how good every log is, without what reading it has put right: tare and signs."""
@@ -141,6 +171,37 @@ class MotorStory(Story[MotorProblem]):
             acceleration, excess = (np.concatenate(each) for each in zip(*parts, strict=True))
             out[f"spikes_{kind}"] = acceleration, excess
         return out
+
+
+def _read(trial: Trial, speeds: FloatArray) -> ReadTrial:
+    """Return the numbers of speeds (n, samples) [rad/s], the measured one first, all read alike."""
+    numbers, time = [], trial.time
+    commands = trial.shown["commands"]
+    begins = commands[:, 0]
+    for step, (begin, end) in enumerate(zip(begins, [*begins[1:], time[-1]], strict=True), 1):
+        part = np.flatnonzero((time >= begin) & (time <= end))
+        if len(part) < _LEAST or begin <= time[0]:
+            continue
+        track, since = speeds[:, part], 1000 * (time[part] - begin)
+        first, last = track[:, 0], track[:, -max(1, len(part) // 5) :].mean(axis=1)
+        which = f"step {step}"
+        numbers.append(Read(f"speed, after {which}", "rad/s", last))
+        if abs(last[0] - first[0]) < _CHANGE * abs(first[0]):
+            continue
+        numbers.append(Read(f"time to 90 %, {which}", "ms", _passes(since, track, first + 0.9 * (last - first))))
+        if first[0] * last[0] < 0:
+            numbers.append(Read(f"time to zero speed, {which}", "ms", _passes(since, track, 0.0 * first)))
+    return ReadTrial(numbers)
+
+
+def _passes(time: FloatArray, tracks: FloatArray, levels: FloatArray) -> FloatArray:
+    """Return when (n,) tracks (n, samples) first pass from their start through a level (n,)."""
+    passed = (tracks - levels[:, None]) * (tracks[:, :1] - levels[:, None]) < 0
+    at, each = np.maximum(np.argmax(passed, axis=1), 1), np.arange(len(tracks))
+    before, after = tracks[each, at - 1], tracks[each, at]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = (levels - before) / (after - before)
+    return np.where(passed.any(axis=1), time[at - 1] + share * (time[at] - time[at - 1]), np.nan)
 
 
 def taken_as_exact(

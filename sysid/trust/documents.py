@@ -32,6 +32,7 @@ from sysid.journal import notice
 from sysid.parameter_sets import ACCUSED, INTERVALS, Flags, Judged, Pair, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_files
+from sysid.trust.use import ClassOfUse, NumberOfUse, Use
 from sysid.types import BoolArray, FloatArray
 
 TRUST, CROSS_VALIDATION, EXPLAIN, VALIDATION = "trust", "cross-validation", "explain", "validation-"
@@ -201,18 +202,16 @@ class JudgedTrial(Part):
     # Time from the first touchdown to the third [s].
     third_contact: float | None
     leaves: Leaves | None
+    # What of use is predicted; none of a fit of an older version.
+    numbers: list[NumberOfUse] = Field(default_factory=list)
+    ends: ClassOfUse | None = None
 
 
 class ValidatedTrial(JudgedTrial):
-    """A validated trial; further keys are its kind's, see `sysid.fit.story.Story.beyond`."""
+    """A validated trial; further keys are its kind's, see `sysid.fit.story.ReadTrial`."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Open]
-
-    @property
-    def stop(self) -> dict[str, dict[str, float]] | None:
-        """Place [m] and time [s] of rest, each measured, mean and sigma; None where a kind states none."""
-        return self.__pydantic_extra__.get("stop")
 
 
 class LeftOutTrial(JudgedTrial):
@@ -319,6 +318,8 @@ class Overall(Part):
     nrmse_fitted: float
     ratio: float
     ratio_third_contact: float
+    # What the prediction is good for; None of a validation by an older version.
+    use: Use | None = None
 
 
 class Judgement(Overall, TrustPart):

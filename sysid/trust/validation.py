@@ -14,6 +14,7 @@ import numpy as np
 
 from sysid.fit.trial import Trial
 from sysid.trust.documents import JudgedTrial, Leaves, Overall
+from sysid.trust.use import in_use
 from sysid.types import FloatArray
 
 # Limits of the NRMSE over its noise floor, mean over trials [1]: whole windows, up to the third touchdown.
@@ -104,8 +105,11 @@ def reasons(trials: Sequence[JudgedTrial]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float) -> Overall:
-    """Return what a validation or cross-validation states of all trials together, for its document."""
+def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float, *, drawn: bool) -> Overall:
+    """Return what a validation or cross-validation states of all trials together, for its document.
+
+    What is of use has a word where predictions by draws stand behind the trials' numbers (`drawn`).
+    """
     why, (whole, early) = reasons(trials), _ratios(trials)
     return Overall(
         flagged=bool(why),
@@ -115,4 +119,5 @@ def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float) -> Overall:
         nrmse_fitted=nrmse_fitted,
         ratio=float(np.mean(whole)),
         ratio_third_contact=float(np.mean(early)),
+        use=in_use(((trial.numbers, trial.ends) for trial in trials), drawn=drawn),
     )

@@ -19,7 +19,7 @@ from sysid.fit.kind import Kind, Words
 from sysid.fit.problem import Problem, computed_by
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder
-from sysid.fit.story import Story
+from sysid.fit.story import ReadTrial, Story
 from sysid.fit.trial import Prediction
 from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
@@ -36,9 +36,12 @@ from sysid.trust.documents import (
     validation_part,
     write_part,
 )
+from sysid.trust.draws import STORED
 from sysid.trust.influence import standing_out
+from sysid.trust.use import class_of_use, numbers_of_use
 from sysid.trust.validation import judge, judgement
 from sysid.types import BoolArray, FloatArray
+from sysid.workflows.draws import stored_draws
 from sysid.workflows.kinds import naming_campaign, open_campaign
 from sysid.workflows.provenance import stated_campaign
 from sysid.workflows.reopen import open_fit
@@ -178,17 +181,19 @@ def validate_fit(
         judged = [predicted.judge(t, slice(None), predicted.floor) for t in range(len(problem.trials))]
         _notice_unlike(judged, kind.words)
         stated = stated_campaign(problem.campaign.source, folder)
-        more = predicted.story.beyond(predicted.rows)
+        draws = stored_draws(folder, result)
+        read = predicted.story.read(result, _behind(result.values[:1], draws))
+        trials = [
+            ValidatedTrial.model_validate(vars(trial) | _of_use(each) | dict(each.more))
+            for trial, each in zip(judged, read, strict=True)
+        ]
         document = ValidationDocument(
             part=free_part(folder, validation_part(problem.campaign.name), stated),
             fit=result.name,
             kind=result.kind,
             campaign=stated,
-            **vars(judgement(judged, float(result.nrmse[0]))),
-            trials=[
-                ValidatedTrial.model_validate(vars(trial) | row)
-                for trial, row in zip(judged, more, strict=True)
-            ],
+            **vars(judgement(trials, float(result.nrmse[0]), drawn=draws is not None)),
+            trials=trials,
             warnings=journal.sentences(),
         )
     units = ", ".join(result.channel_units)
@@ -201,6 +206,17 @@ def validate_fit(
         arrays[f"{root}/simulated"] = (signals, "set, sample, channel", units)
     write_part(folder, document, arrays)
     return document
+
+
+def _behind(best: FloatArray, draws: FloatArray | None) -> FloatArray:
+    """Return values (1 + n, parameters) [SI]: the best (1, parameters), then draws, or itself for them."""
+    return np.concatenate([best, np.repeat(best, STORED, axis=0) if draws is None else draws])
+
+
+def _of_use(read: ReadTrial) -> dict[str, object]:
+    """Return the fields of a judged trial that state what of use is predicted."""
+    ends = None if read.ends is None else class_of_use(read.ends)
+    return {"numbers": numbers_of_use(read.numbers), "ends": ends}
 
 
 def _notice_unlike(judged: list[JudgedTrial], words: Words) -> None:
@@ -274,11 +290,24 @@ def cross_validate(
         predicted = predict(result, opened.kind, opened.whole.only(trials), values)
         floor = predicted.story.floor(space.full(linear.point[None])[0])
         judged = [predicted.judge(t, slice(t, t + 1), floor) for t in range(len(problem.trials))]
+        # The draws of the fit, moved to where the fit without a trial ends.
+        draws = stored_draws(opened.folder, result)
+        columns = [names.index(name) for name in space.names]
+        for t, trial in enumerate(judged):
+            behind = _behind(values[t : t + 1], draws)
+            if draws is not None:
+                shift = space.encode(decoded[t]) - space.encode(space.decode(linear.point[None])[0])
+                cube = np.clip(space.encode(draws[:, columns]) + shift, 0.0, 1.0)
+                behind[1:, columns] = space.decode(cube)
+            out = [i for i, row in enumerate(space.free) if place.get(opened.whole.row_logs.get(row.name, "")) == t]
+            behind[1:, [columns[i] for i in out]] = decoded[t, out]
+            read = opened.kind.story(opened.whole.only([trial.name]).exact).read(result, behind)[0]
+            judged[t] = trial.model_copy(update=_of_use(read))
         document = CrossValidationDocument(
             fit=result.name,
             kind=result.kind,
             campaign=opened.stated,
-            **vars(judgement(judged, float(result.nrmse[0]))),
+            **vars(judgement(judged, float(result.nrmse[0]), drawn=draws is not None)),
             trials=[
                 LeftOutTrial(**vars(trial), refit=dict(zip(space.names, refit, strict=True)))
                 for trial, refit in zip(judged, decoded.tolist(), strict=True)
