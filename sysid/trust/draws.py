@@ -5,9 +5,9 @@ A draw is a point of the search's coordinates, made in three steps.
 1. Normal numbers with the correlation of `sysid.trust.linearized` (widened where the model does not explain
    the trials), stratified, so that their sample has exactly that correlation.
 2. A parameter whose profile leaves an end open is uniform over what the profile leaves open, inside the
-   bounds. The others follow it along the valley of the cost, which its profile has walked, and scatter around
-   the valley as linearized.
-3. Every other parameter is mapped, rank by rank, so that its draws have the ends of its profile's intervals:
+   bounds, on the scale on which its effect is even (`_even`). The others follow it along the valley of the
+   cost, which its profile has walked, and scatter around the valley as linearized.
+3. Every other free parameter is mapped, rank by rank, so that its draws have the ends of its profile's intervals:
    68 % and 95 % of them lie inside, whatever the shape of the cost.
 
 The true cost enters by the profiles alone, without weights of importance and without a chain, because the
@@ -21,16 +21,19 @@ by 2.7; with step 2 they do not change it (1.01).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from sysid.parameters import SearchSpace
-from sysid.trust.documents import TrustDocument
+from sysid.trust.documents import FreeParameter, TrustDocument
 from sysid.trust.linearized import CHI2, NORMAL_95
 from sysid.types import FloatArray
+
+Scaling = Callable[[Any], FloatArray]
 
 # Number of draws that a fit stores.
 STORED = 200
@@ -68,19 +71,37 @@ def joint_draws(
         slope = np.linalg.solve(between, arrays["correlation"][np.ix_(loose, tied)])
         points[:, tied] -= deviation[tied] * (normal[:, loose] @ slope)
         for i in np.flatnonzero(loose).tolist():
-            low, high = knots[0, i], knots[-1, i]
-            points[:, i] = low + ndtr(normal[:, i]) * (high - low)
-            valley = space.encode(arrays[f"profiles/{found[i].name}/others"])
-            valley = valley[np.argsort(valley[:, i], kind="stable")]
+            walked = arrays[f"profiles/{found[i].name}/others"]
+            to, back = _even(found[i])
+            low, high = sorted(map(float, to(np.array(found[i].interval_95))))
+            level = ndtr(normal[:, i])
+            at = low + (level if to(2.0) > to(1.0) else 1.0 - level) * (high - low)
+            values[i], kept = back(at), values[i]
+            points[:, i] = space.encode(np.stack(np.broadcast_arrays(*values), axis=1))[:, i]
+            values[i] = kept
+            order = np.argsort(to(walked[:, i]), kind="stable")
+            along, valley = to(walked[:, i])[order], space.encode(walked)[order]
             for j in np.flatnonzero(tied).tolist():
-                points[:, j] += np.interp(points[:, i], valley[:, i], valley[:, j]) - centre[j]
+                points[:, j] += np.interp(at, along, valley[:, j]) - centre[j]
     ranks = np.argsort(np.argsort(points, axis=0, kind="stable"), axis=0)
     level = ndtri((ranks + 0.5) / len(points))
-    for j in np.flatnonzero(tied).tolist():
+    for j in np.flatnonzero(tied[: len(found)]).tolist():
         ends = (knots[[0, -1], j] - knots[[1, -2], j]) / (_KNOTS[-1] - _KNOTS[-2]) * (_BEYOND - NORMAL_95)
         places = [knots[0, j] + ends[0], *knots[:, j], knots[-1, j] + ends[1]]
         points[:, j] = np.interp(level[:, j], [-_BEYOND, *_KNOTS, _BEYOND], places)
     return np.asarray(np.clip(points[:count], 0.0, 1.0))
+
+
+def _even(row: FreeParameter) -> tuple[Scaling, Scaling]:
+    """Return the scale on which a parameter with open ends is drawn evenly, and the way back.
+
+    That is where its effect is even: a damping that may vanish on its value, a stiffness that may be
+    infinite on its inverse, and what is open at both ends on its logarithm.
+    """
+    at_low, at_high = row.open_95
+    if row.interval_95[0] <= 0 or (at_low and not at_high):
+        return np.asarray, np.asarray
+    return (np.log, np.exp) if at_low else (np.reciprocal, np.reciprocal)
 
 
 def evenly(intervals: Mapping[str, Sequence[float]], count: int) -> FloatArray:
