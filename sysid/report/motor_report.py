@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from sysid.documents import interval
 from sysid.fit.result import FitResult, TrialResult
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.motor.model import thrust as static_thrust
 from sysid.report.drawing import USES
 from sysid.report.fit_report import FitReport, titled
-from sysid.report.html import NOTHING, Html, bullets, columns, definitions, paragraph
+from sysid.report.html import NOTHING, Html, bullets, columns, definitions, markup_table, paragraph
 from sysid.report.motor_figures import (
     command_panel,
     curve_views,
@@ -24,6 +27,7 @@ from sysid.report.motor_figures import (
     thrust_panel,
 )
 from sysid.report.plots import Curve, Panel, View, figure_of, interactive, printed
+from sysid.report.table import NONE, Table, listed, number
 from sysid.types import FloatArray
 
 # Number of reversals on a printed page.
@@ -73,10 +77,15 @@ class MotorReport(FitReport):
     )
     def stand(self) -> Html:
         """Return what the logs give without R and L."""
-        said = self.fit.settings.get("stand", {}).get("sentences", ())
-        return (
-            bullets(said) if said else paragraph("This fit states none: it is of an older version.", "note")
-        )
+        stand = self.fit.settings.get("stand", {})
+        said = stand.get("sentences", ())
+        if not said:
+            return paragraph("This fit states none: it is of an older version.", "note")
+        curves = stand.get("curves", ())
+        # The first sentences have the numbers of the table.
+        rest = said[len({(row["quantity"], row["direction"]) for row in curves}) :]
+        out = markup_table(_curve_table(curves, stand.get("calibration", 0.0))) if curves else NOTHING
+        return out + bullets(rest) if rest else out
 
     @titled(
         "Supply law",
@@ -205,8 +214,8 @@ class MotorReport(FitReport):
     def trial_figures(self, fit: FitResult, trial: TrialResult) -> dict[str, Figure]:
         """Return the figures of one trial, with its reversals."""
         out, name = super().trial_figures(fit, trial), self.trial_name(fit, trial)
-        for number, view in enumerate(self._reversals(fit, trial), start=1):
-            out[f"reversal-{name}-{number}"] = figure_of([view])
+        for count, view in enumerate(self._reversals(fit, trial), start=1):
+            out[f"reversal-{name}-{count}"] = figure_of([view])
         return out
 
     def _best(self, name: str) -> float:
@@ -222,6 +231,28 @@ class MotorReport(FitReport):
         speed = trial.simulated[:, :, fit.channels.index("speed")]
         sets = ({name: float(row[i]) for name, i in curve.items()} for row in fit.values)
         return np.stack([static_thrust(speed[s], values) for s, values in enumerate(sets)])
+
+
+def _curve_table(curves: Sequence[Mapping[str, Any]], calibration: float) -> Table:
+    """Return torque and thrust of steady levels with their intervals, a row per direction and speed."""
+    tops = {row["direction"]: abs(row["speed"]) for row in curves if not row["common"]}
+    places = dict.fromkeys((row["direction"], row["speed"]) for row in curves)
+    by_place = {(row["quantity"], row["direction"], row["speed"]): row for row in curves}
+
+    def cells(quantity: str, place: tuple[str, float]) -> tuple[str, str]:
+        row = by_place.get((quantity, *place))
+        return (number(row["value"]), interval(row["interval_95"], (False, False))) if row else (NONE, NONE)
+
+    rows = [
+        (
+            f"{way}{'' if abs(speed) <= tops[way] else ', extrapolated'}", number(abs(speed)),
+            *cells("torque", (way, speed)), *cells("thrust", (way, speed)),
+        )
+        for way, speed in places
+    ]  # fmt: skip
+    heads = ("direction", "speed [rad/s]", "torque [N·m]", "95 % interval", "thrust [N]", "95 % interval")
+    caption = f"the intervals contain {100 * calibration:g} % for the calibration of the load cells"
+    return listed("torque and thrust of the steady levels", rows, heads, caption)
 
 
 def _signed(share: float) -> str:
