@@ -160,7 +160,12 @@ class Known:
     instead: str | None
 
     def text(self, s: int = 0, digits: int = 4) -> str:
-        """Return the value of one set, with * where it ends at a bound, or what stands in its place."""
+        """Return the value of one set, with * where it ends at a bound, or what stands in its place.
+
+        That is a dash where the parameter has an interval, which stands beside it in every table.
+        """
+        if self.instead and self.judged and self.judged.verdict != "not_interpretable":
+            return "—"
         return self.instead or rounded(self.values[s], digits) + ("*" if self.at_bound[s] else "")
 
 
@@ -303,9 +308,8 @@ def parameter_records(
         status: Status
         if name in space.stated:
             value, error = space.stated[name], space.stated[name].error
-            source = (
-                f"the campaign states {with_unit(f'{value:.5g} ± {error:.2g}', row.unit)}; the fit moved it"
-            )
+            states = "the static logs give" if row.source == "static logs" else "the campaign states"
+            source = f"{states} {with_unit(f'{value:.5g} ± {error:.2g}', row.unit)}; the fit moved it"
             record = replace(ParameterRecord.of(row, "stated"), nominal=float(value), source=source)
             out.append(replace(record, lower=None, upper=None, scale=None, stated_sigma=error))
             continue

@@ -299,10 +299,10 @@ def numbers_for(
     An interval combines independent contributions: each judged parameter and each static curve at the ends
     of its own 95 % interval (both coefficients of a curve together), the calibration of the load cells for
     thrust and for torque, and the scatter of steady speeds under one command. A parameter whose interval is
-    open counts up to the bound of the search. Constants that the campaign states, such as Kv and inertia,
-    are taken as exact. Where the steady speed is no line of the command, its levels count as they were
-    measured, with the supply that sags under their load. Where the model does not explain the logs, time
-    constants come from the steps in the logs, if the fit states them.
+    open counts up to the bound of the search. The inertia is taken as exact, and Kv beside the intervals of
+    R and L, which contain its stated error. Where the steady speed is no line of the command, its levels
+    count as they were measured, with the supply that sags under their load. Where the model does not explain
+    the logs, time constants come from the steps in the logs, if the fit states them.
 
     Examples
     --------
@@ -498,10 +498,17 @@ def _notes(
     """Return what holds for all numbers: what is exact, full command and its supply, the fit's verdict."""
     stand = sets.settings.get("stand", {})
     calibration, curves = stand.get("calibration"), stand.get("curves", ())
-    out = ["Intervals take Kv, the inertia and the calibration of the load cell as exact."]
+    # Where the campaign states errors, the intervals of R and L contain that of Kv.
+    moved = any(row.name == "back_emf_constant" and row.status == "stated" for row in sets.parameters)
+    exact = (
+        "the inertia as exact, the error of Kv as far as R and L have it"
+        if moved
+        else "Kv and the inertia as exact"
+    )
+    out = [f"Intervals take {exact}, and the calibration of the load cell as exact."]
     if calibration is not None:
         out = [
-            "Intervals take Kv and the inertia as exact; thrust and torque have "
+            f"Intervals take {exact}; thrust and torque have "
             f"{100 * calibration:g} % (one standard deviation) for the calibration of the load cells."
         ]
     forward = [row for row in curves if row["direction"] == "forward"]

@@ -58,19 +58,19 @@ def _left_out(document: ExplainDocument, count: str = "each") -> str:
     return f"{count} trial{several}"
 
 
-def _changes(document: ExplainDocument, rung: LadderRung, lost: set[str]) -> str:
-    """Return the values of the terms and how far the parameters go that are not `lost`."""
+def _changes(document: ExplainDocument, rung: LadderRung, lost: set[str]) -> dict[str, str]:
+    """Return the values of the terms and how far the parameters go that are not `lost`, by name."""
     symbols, values, before = document.symbols, rung.values, document.base.values
-    new = [
-        f"{symbols[name]} {with_unit(rounded(value, 3), document.units[name])}"
+    new = {
+        name: f"{symbols[name]} {with_unit(rounded(value, 3), document.units[name])}"
         for name, value in values.items()
         if name not in before
-    ]
+    }
     # A name that ends in brackets is a number of one trial alone.
     known = [name for name in before if before[name] and name in values and name not in lost]
     moved = {name: values[name] / before[name] - 1 for name in known if not name.endswith("]")}
     far = sorted((name for name in moved if abs(moved[name]) >= _LEAST), key=lambda name: -abs(moved[name]))
-    return ", ".join([*new, *(f"{symbols[name]} {100 * moved[name]:+.0f} %" for name in far[:_MOST])])
+    return new | {name: f"{symbols[name]} {100 * moved[name]:+.0f} %" for name in far[:_MOST]}
 
 
 def _in_words(one: Suspect) -> str:
@@ -125,14 +125,23 @@ def moves_table(document: ExplainDocument, trust: TrustDocument | None = None) -
     Parameters that `trust`, the intervals of the fit, calls not identifiable may move as they like.
     """
     lost = {row.name for row in trust.parameters if row.lost} if trust else set()
+    rows = [
+        (what, _changes(document, rung, lost)) for what, rung in _rows(document) if rung is not document.base
+    ]
+    shown = dict.fromkeys(name for _, changes in rows for name in changes)
+    meanings = (
+        f"{document.symbols[name]}: {document.meanings[name].rstrip('.')}"
+        for name in shown
+        if name in document.meanings
+    )
     return table(
         "Values of the terms, and how the parameters move with them",
-        [row for row in _rows(document) if row[1] is not document.base],
+        rows,
         (
             words("term", lambda row: row[0]),
-            words("values, moves", lambda row: _changes(document, row[1], lost)),
+            words("values, moves", lambda row: ", ".join(row[1].values())),
         ),
-        "moves: of identifiable parameters, 1 % and more; the four largest",
+        "; ".join(["moves: of identifiable parameters, 1 % and more; the four largest", *meanings]),
     )
 
 

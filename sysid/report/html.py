@@ -75,7 +75,9 @@ def page(title: str, body: Html) -> str:
     hashes = [base64.b64encode(sha256(text.encode("utf-8")).digest()).decode("ascii") for text in sources]
     style = (_source("uplot.min.css") if plots else "") + _source("page.css")
     return filled(
-        "index.html.j2", title=title, version=sysid.__version__, parts=parts, body=body, style=Html(style),
+        "index.html.j2", title=title, version=sysid.__version__, parts=parts, style=Html(style),
+        # A line does not break between a number and its "times".
+        body=Html(re.sub(r"(?<=\d) ×", "\N{NO-BREAK SPACE}×", body.text)),
         scripts=[Html(text) for text in sources], policy=" ".join(f"'sha256-{each}'" for each in hashes),
         plots=plots,
     ).text  # fmt: skip

@@ -142,6 +142,15 @@ def stated_table(document: TrustDocument) -> Table | None:
         factor = math.degrees(1.0) if row.unit == "rad" else 1.0
         return mean_sigma((factor * value, factor * error))
 
+    names = " ".join(row.name for row in document.stated)
+    notes = ["error: one standard deviation; errors apart: fitted less stated, in stated errors"]
+    if "surface_d" in names or "centre_of_mass_d" in names:
+        notes.append("dx and dz of surface and centre of mass: distance from the stated place")
+    if "_curve_" in names or "_line_" in names:
+        notes.append(
+            "torque_curve, no_load_line: factor on the measured curve, at full speed or command (top) and "
+            "half-way (middle), with the error that the scatter of its points gives"
+        )
     return table(
         "what the campaign states, and what the fit made of it",
         document.stated,
@@ -151,8 +160,7 @@ def stated_table(document: TrustDocument) -> Table | None:
             numbers("fitted ± error", lambda row: shown(row, row.fitted, row.sigma)),
             words("errors apart", lambda r: Cell(f"{r.pull:+.1f}", "bad" if r.contradicted else "")),
         ),
-        "error: one standard deviation; errors apart: fitted less stated, in stated errors; "
-        "dx and dz: from what the campaign states",
+        "; ".join(notes),
     )
 
 

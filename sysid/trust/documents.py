@@ -377,6 +377,7 @@ class ExplainDocument(TrustPart):
     # All parameters that a rung has, by name.
     symbols: dict[str, str]
     units: dict[str, str]
+    meanings: dict[str, str] = Field(default_factory=dict)
     # The model without the accused and with the terms to keep.
     adequacy: Adequacy
     base: LadderRung

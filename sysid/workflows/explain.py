@@ -110,6 +110,7 @@ def explain_opened(opened: OpenedFit, say: Say = None) -> ExplainDocument:
         parts=problem.pieces[0] != problem.names,
         symbols={row.name: row.symbol for row in rows},
         units={row.name: row.unit for row in rows},
+        meanings={row.name: row.meaning for row in rows},
         adequacy=adequacy(best.problem, best.problem.space.full(best.point[None])[0]),
         base=_rung(ladder.base),
         alone=[_rung(rung) for rung in ladder.alone],

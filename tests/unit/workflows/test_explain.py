@@ -190,6 +190,11 @@ def test_terms_are_shown_by_what_judges_them_and_with_the_moves_that_mean_someth
     assert rows[1][1:] == ["1.4", "1.8", "25.0", "0.02", "yes"]
     assert rows[2][5:] == ["no"]
     moves = [row[1].text for row in moves_table(document, trust).rows]
+    told = document.model_copy(
+        update={"meanings": {"pitch_drag": "Moment against turning.", "x": "Not here."}}
+    )
+    caption = moves_table(told, trust).caption
+    assert ("c_q: Moment against turning" in caption, "Not here" in caption) == (True, False)
     assert moves == ["F_h 0.291 N, k_h +5 %", "c_q 0.0001 N·m·s²", "F_h 0.291 N, k_h +5 %"]
     assert "dx_f +350 %" in moves_table(document).rows[0][1].text
     bars = figure_rungs(document).axes[0].lines[0]

@@ -208,12 +208,12 @@ def test_the_nearest_fit_is_named(lag, refused, tmp_path):
     [
         (
             "thrust_point_dx",
-            "159 m",
-            "thrust_point_dx = 159 is 1000 × what a vehicle of this mass and size has",
+            "7.9 m",
+            "thrust_point_dx = 7.9 is 50 × what a vehicle of this mass and size has",
         ),
-        ("leg_inertia", "0.2 kg·m²", "leg_inertia = 0.2 is 990 × what"),
-        ("leg_mass", "20 kg", "leg_mass = 20 is 1000 × what"),
-        ("board_length", "1.2 mm", "board_length = 0.0012 is 0.0013 × what"),
+        ("leg_inertia", "0.02 kg·m²", "leg_inertia = 0.02 is 99 × what"),
+        ("leg_mass", "2 kg", "leg_mass = 2 is 100 × what"),
+        ("board_length", "12 mm", "board_length = 0.012 is 0.013 × what"),
     ],
 )
 def test_an_implausible_value_is_named_with_its_ratio(key, value, said, tmp_path):
