@@ -106,7 +106,7 @@ def new_campaign(
     kind: Annotated[Literal["motor", "gear"], Argument("What was recorded.")],
     logs: Annotated[tuple[Path, ...] | None, Argument("More logs after --from LOG.")] = None,
     out: Annotated[Path, Flag("File to write.")] = Path("campaign.toml"),
-    minimal: Annotated[bool, Flag("Write only what a fit needs.")] = False,
+    minimal: Annotated[bool, Flag("Write only what a fit needs, as --from does.")] = False,
     source: Annotated[
         tuple[Path, ...], Flag("Fill in what these logs say: a log or a folder.", "--from")
     ] = (),

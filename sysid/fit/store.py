@@ -155,8 +155,8 @@ def read_fit(path: str | Path) -> FitResult:
     file_path = path / "fit.h5" if path.is_dir() else path
     if file_path.is_file() and file_path.suffix.lower() not in (".h5", ".hdf5"):
         raise FitError(
-            f"{path}: is no fit folder; a file of sets has neither runs nor trials, so name the folder that "
-            "sysid fit-motor or fit-gear wrote"
+            f"{path}: is a {file_path.suffix or 'single'} file, which has neither runs nor trials; name the "
+            "folder that sysid fit-motor or fit-gear wrote"
         )
     if not file_path.is_file():
         lacks = "no fit.h5 there" if path.is_dir() else "is not there"

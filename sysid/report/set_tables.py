@@ -123,7 +123,9 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
         known = row.fitted[k]
         if known is None:
             return NONE
-        text = known.instead or ("not identifiable" if row.record.name in unfixed else "")
+        # One fit has its interval beside it.
+        instead = known.text() if one and known.instead else known.instead
+        text = instead or ("not identifiable" if row.record.name in unfixed else "")
         bound = np.any(known.at_bound)
         # Words in place of digits carry no mark.
         of_runs = mean_sigma((known.mean, known.sigma))

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import shlex
+from contextlib import suppress
 from pathlib import Path
 
 from sysid import exact_json
+from sysid.campaign import read_campaign
+from sysid.errors import SysidError
 from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
@@ -61,14 +64,9 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
     print_lines([f"fit written to {folder}{state}; next:"])
     place = result.provenance.get("campaign", {}).get("from_fit_folder")
     campaign = os.path.normpath(folder / place) if place else "CAMPAIGN"
-    search = result.provenance.get("search", {})
-    # The checkpoint has all other options.
-    same = {"runs": search.get("runs"), "max-evaluations": search.get("max_evaluations")}
-    same |= {"surface": result.settings.get("surface")}
     command = f"fit-{result.kind}" if result.kind in ("gear", "motor") else "fit"
     again = f"{command} {campaign} --out {folder} --resume"
-    again += "".join(f" --{name} {value}" for name, value in same.items() if value)
-    cut = (again, "first: finish the runs that were cut short")
+    cut = (again + _given(result, campaign), "first: finish the runs that were cut short")
     use = (
         (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
         (f"export {folder} --out sets.json", "the sets for a simulator"),
@@ -86,6 +84,21 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
         *(mend if result.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY else use),
     ):
         print_lines([f"  sysid {command + plugins:<40}  {what}"])
+
+
+def _given(result: FitResult, campaign: str) -> str:
+    """Return the options that neither a checkpoint nor the campaign has, as they were given."""
+    search = result.provenance.get("search", {})
+    same = {"runs": search.get("runs"), "max-evaluations": search.get("max_evaluations")}
+    same |= {"surface": result.settings.get("surface")}
+    stated: dict[str, object] = {}
+    with suppress(SysidError):
+        read = read_campaign(campaign)
+        law = getattr(getattr(read, "surface", None), "law", None)
+        stated = {"runs": read.fit.runs, "surface": law}
+    return "".join(
+        f" --{name} {value}" for name, value in same.items() if value and value != stated.get(name)
+    )
 
 
 def verdict_on(result: FitResult) -> str:

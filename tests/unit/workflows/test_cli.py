@@ -479,7 +479,7 @@ def test_what_nobody_foresaw_is_one_line_and_a_trace_in_a_file(tmp_path, monkeyp
 
 def test_what_is_no_fit_and_what_is_a_fit_of_another_kind(tmp_path, refused):
     fit = write_fit(full_fit(), tmp_path / "fit")
-    words = "published-motor.json: is no fit folder; a file of sets has neither runs nor trials"
+    words = "published-motor.json: is a .json file, which has neither runs nor trials; name the folder"
     refused(words, "compare", SAMPLES / "published" / "published-motor.json", fit)
     words = "campaign.toml: is a gear campaign, but the fit is a motor fit; name a motor campaign"
     refused(words, "validate", fit, SAMPLES / "gear-lf" / "campaign.toml")
