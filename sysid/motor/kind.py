@@ -38,7 +38,7 @@ MOTOR = Kind(
     ),
     simpler=simpler,
     words=Words(
-        single="trial of its kind",
+        single="log of command steps",
         misleads="another supply, tare or state of the motor",
         unlike="another supply or tare, or a misread unit, clock or log",
     ),

@@ -231,11 +231,11 @@ def expected_table(document: CheckDocument, *, details: bool = True) -> Table:
             _PARAMETER,
             numbers("default value", lambda row: number(row.value)) if details else None,
             numbers("95 % half-width", lambda row: half_width(row.half_width), "%"),
-            numbers("elsewhere", lambda row: half_width(row.half_width_over_bounds), "%"),
+            numbers("at other values", lambda row: half_width(row.half_width_over_bounds), "%"),
             _VERDICT,
             _correlated(document.parameters) if details else None,
         ),
-        "half-width at the default values, from noise alone; elsewhere: median over the bounds",
+        "from noise alone, at the default values; at other values: the median over points within the bounds",
     )
 
 

@@ -123,7 +123,7 @@ def _verdicts(
         if verdict(row.half_width) == "well" and not lifts:
             lines.append(
                 f"{row.symbol}: {as_half_width(row.half_width)} at {row.value:.3g} {row.unit}, but "
-                f"{as_half_width(row.half_width_over_bounds)} in the middle of draws over its bounds: the "
+                f"{as_half_width(row.half_width_over_bounds)} at other values within its bounds: the "
                 "trials determine it only if it lies where the defaults do; state narrower bounds if you can"
             )
         elif best is not None and lifts:
@@ -134,7 +134,7 @@ def _verdicts(
         elif best is not None:
             beyond.append(row.symbol)
     if beyond:
-        lines.append(f"no single {single} within the lab's reach determines {', '.join(beyond)}")
+        lines.append(f"no one more {single} would determine {', '.join(beyond)}")
     # Worth recording is what lifts a verdict.
     lifting = [(c, [e.symbol for e in expected if _lifts(e, c.worse(e.name))]) for c in candidates]
     worth = [f"{c.title} (lifts {', '.join(symbols)})" for c, symbols in lifting if symbols]

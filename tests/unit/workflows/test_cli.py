@@ -431,19 +431,16 @@ def test_a_choice_that_there_is_not_is_refused_in_words_of_the_command_line(drop
     assert "'--finish': 'lm' is not one of 'least-squares', 'cmaes', 'none'" in err
 
 
-def test_a_mass_in_grams_called_kilograms_has_no_verdict_and_no_fit(drops, run, refused):
-    edit(drops / "campaign.toml", '"1.242 kg"', '"1310 kg"')
-    words = [
-        "cannot be simulated at the values",
-        "check the masses, lengths and units that the campaign states",
-        "; the likely cause: sqrt(body_inertia/body_mass) = ",
-        "; body_mass = 1310 kg with feet 184 mm from the centre of mass",
-    ]
+def test_a_mass_in_grams_called_kilograms_is_refused_and_a_tenfold_one_has_no_verdict(drops, run, refused):
+    edit(drops / "campaign.toml", '"1.242 kg"', '"13.1 kg"')
     code, out, err = run("check", drops / "campaign.toml")
     assert code == 3, err
     assert "no verdict" in out
     assert "warning: sqrt(body_inertia/body_mass) = " in err
-    refused([*words, "--no-check"], "fit-gear", drops / "campaign.toml", "--out", "fit")
+    edit(drops / "campaign.toml", '"13.1 kg"', '"1310 kg"')
+    words = ["sqrt(body_inertia/body_mass) = 3 mm is 0.018 of the feet's", "vehicles have 0.3 to 1.2"]
+    refused(words, "check", drops / "campaign.toml")
+    refused(words, "fit-gear", drops / "campaign.toml", "--out", "fit")
     assert not list(drops.parent.glob("fit*"))
 
 
