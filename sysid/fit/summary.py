@@ -47,6 +47,18 @@ def run_record(result: FitResult) -> dict[str, Any]:
     }  # fmt: skip
 
 
+# What a cause of failed candidates means.
+_CAUSES = {
+    "diverged": "a leg was pushed through its joint",
+    "too_expensive": "many times the work of an ordinary trial, as very stiff parts or many bounces need",
+    "step_collapsed": "the step of the integration shrank to nothing",
+    "never_touched": "no touchdown in the window",
+    "left_the_board": "the drone slid or bounced off the board",
+    "no_steady_state": "the motor has no steady speed at the trial's start",
+    "not_finite": "the simulation is not finite",
+}
+
+
 def failures(run: RunHistory) -> str:
     """Return how many candidates of a run failed, and of what: ``3 failed: 2 diverged, 1 never touched``."""
     by_cause = ", ".join(f"{count} {cause.replace('_', ' ')}" for cause, count in run.failures.items())
@@ -143,6 +155,9 @@ def summary(result: FitResult) -> str:
             f"NRMSE {100 * stage.cost.min():.2f} %, ended: {stage.ended}"
             for stage in run.stages
         ]
+    if causes := sorted({cause for run in result.runs for cause in run.failures} & {*_CAUSES}):
+        lines += ["", "failed candidates, whose NRMSE has a penalty", ""]
+        lines += [f"  {cause.replace('_', ' ')}: {_CAUSES[cause]}" for cause in causes]
     if result.warnings:
         lines += ["", "warnings", "", *(f"- {warning}" for warning in result.warnings)]
     lines += ["", "record", "", *record_lines(run_record(result))]

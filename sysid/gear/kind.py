@@ -218,7 +218,8 @@ GEAR = Kind(
     laws=("surface",),
     words=Words(
         trials="drops",
-        single=f"drop on {_SLOPES_DEG[0]:g} to {_SLOPES_DEG[-1]:g} deg at {_SPEEDS[0]:g} to {_SPEEDS[-1]:g} m/s",
+        single=f"drop on {_SLOPES_DEG[0]:g} to {_SLOPES_DEG[-1]:g} deg at {_SPEEDS[0]:g} to "
+        f"{_SPEEDS[-1]:g} m/s",
         misleads="a bounce near a bifurcation",
         remedy="state its release or its point with an error",
         unlike="a start near a bifurcation of the bounces, or a misread slope, surface or log",

@@ -20,7 +20,9 @@ from sysid import exact_json
 from sysid.errors import FitError
 from sysid.fit import store
 from sysid.fit.store import check_new_fit, read_fit, summary, write_fit
-from sysid.fit.summary import record_lines
+from sysid.fit.summary import _CAUSES, record_lines
+from sysid.gear.problem import GearProblem
+from sysid.motor.problem import MotorProblem
 
 
 def assert_same(a, b):
@@ -295,7 +297,10 @@ def test_failures_are_told_by_cause_in_text_and_numbers(tmp_path):
     path = write_fit(full_fit(), tmp_path / "bench")
     # 1 + 2 + 3 + 4 + 5 in each of two stages, and 2 in five generations of each.
     assert read_fit(path).runs[0].failures == {"diverged": 30, "left_the_board": 20}
-    assert "failed: 30 diverged, 20 left the board" in (path / "summary.txt").read_text(encoding="utf-8")
+    told = (path / "summary.txt").read_text(encoding="utf-8")
+    assert "failed: 30 diverged, 20 left the board" in told
+    assert "  left the board: the drone slid or bounced off the board" in told
+    assert {*GearProblem.causes, *MotorProblem.causes} == {*_CAUSES}
     with h5py.File(path / "fit.h5") as file:
         counts = file["runs/1/stages/1/failed_by_cause"]
         assert counts[()].tolist() == [[0, 0], *([g, 2] for g in range(1, 6))]
