@@ -84,6 +84,8 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
             sets = ParameterSets.from_document(document)
         elif text.startswith(spreadsheet.SIGNATURE):
             sets = spreadsheet.from_csv(data, file)
+        elif text.startswith(spreadsheet.DRAWN):
+            raise ExportError(f"{file}: a table of draws, for other programs; export them to .json for sysid")
         else:
             raise ExportError(
                 f"{file}: neither JSON, CSV, HDF5 nor MAT of sysid; expected a file that sysid export wrote"

@@ -3,6 +3,7 @@
 One header, one row per thing: ``about`` rows carry what is not a table as JSON in the column `meaning`,
 ``parameter`` rows the sets in columns ``set_1 …`` (best first), ``nrmse`` rows the mean and the NRMSE of
 each trial (`name`) and channel (`symbol`). The last row counts the rows before it, so a cut file shows.
+Draws are a table of their own, for other programs: a row per draw, a column per number [SI].
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import numpy as np
 
 from sysid import exact_json
 from sysid.errors import ExportError
-from sysid.parameter_sets import ParameterSets, SetsMetadata, interval_columns
+from sysid.parameter_sets import DRAWS, ParameterSets, SetsMetadata, interval_columns
 
 SIGNATURE = b"row,name,symbol,unit,status,"
+DRAWN = b"draw,"
 # A spreadsheet takes a text that begins so for a formula; an apostrophe is doubled, to be read back.
 _COMPUTED = ("=", "+", "-", "@", "\t", "\r", "'")
 _FIXED = ("row", "name", "symbol", "unit", "status", "lower", "upper", "scale", "nominal", "mean", "sigma")
@@ -31,6 +33,11 @@ _RECORD = (*_TEXTS, *_NUMBERS, "scale")
 
 def to_csv(sets: ParameterSets) -> bytes:
     """Return the file; UTF-8 with the mark that lets spreadsheets show Ω and µ."""
+    if DRAWS in sets.provenance:
+        heads = [f"{row.name} [{row.unit}]" for row in sets.parameters]
+        draws = enumerate(sets.values.tolist(), start=1)
+        table = [{"draw": k} | dict(zip(heads, row, strict=True)) for k, row in draws]
+        return csv_text(table, line_end="\r\n").encode("utf-8-sig")
     n_sets = len(sets)
     columns = [
         *_FIXED, *(f"set_{s + 1}" for s in range(n_sets)), *(f"at_bound_{s + 1}" for s in range(n_sets)),

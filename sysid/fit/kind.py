@@ -121,6 +121,8 @@ class Kind:
     )
     # (problem, rows (S, n_table) [SI]) -> every number (S, n) of such sets, as in `FitOutcome.values`.
     numbers: Callable[[Any, FloatArray], FloatArray] = lambda problem, rows: rows
+    # (problem) -> covariances (k, k) of measured values that no parameter moves, by their k names [SI].
+    unmoved: Callable[[Any], Mapping[tuple[str, ...], FloatArray]] = lambda problem: {}
     # Physics on trial, see `sysid.trust.ladder`.
     terms: tuple[Term, ...] = ()
     # (fitted problem) -> (title, simpler model of the same trials) pairs that the ladder compares.

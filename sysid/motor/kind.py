@@ -29,6 +29,7 @@ MOTOR = Kind(
     begin=begin_fit,
     follow_up=follow_up,
     numbers=numbers,
+    unmoved=lambda problem: problem.unmoved,
     candidates=candidate_trials,
     story=MotorStory,
     terms=(

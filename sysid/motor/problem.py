@@ -96,6 +96,16 @@ class MotorProblem(Problem):
             "record torque and speed at 1 kHz or more"
         )
 
+    @property
+    def unmoved(self) -> dict[tuple[str, ...], FloatArray]:
+        """Covariances of thrust curves, which nothing moves, with the calibration of the load cell."""
+        share = self.campaign.log.calibration_error
+        return {
+            tuple(fit.parameters): fit.covariance + share**2 * np.outer(fit.coefficients, fit.coefficients)
+            for fit in self.bench.curves.fits
+            if fit.quantity == "thrust" and not {*fit.parameters} & {*self.campaign.parameters.fixed}
+        }
+
     # --- what is compared -----------------------------------------------------------------------------------
 
     @cached_property

@@ -111,6 +111,13 @@ def evenly(intervals: Mapping[str, Sequence[float]], count: int) -> FloatArray:
     return np.asarray(ends[:, 0] + levels * (ends[:, 1] - ends[:, 0]))
 
 
+def normally(names: tuple[str, ...], covariance: FloatArray, count: int) -> FloatArray:
+    """Return draws (count, n) about zero of n numbers by name with a covariance (n, n)."""
+    sizes = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sizes, sizes)
+    return np.asarray(_normal(max(count, STORED), correlation, names)[:count] * sizes)
+
+
 def _normal(count: int, correlation: FloatArray, names: Iterable[str]) -> FloatArray:
     """Return stratified normal numbers (count, n) of n names whose sample has a correlation (n, n)."""
     n = len(correlation)

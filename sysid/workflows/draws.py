@@ -15,7 +15,7 @@ from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import notice
 from sysid.parameter_sets import DRAWS, ParameterSets
 from sysid.trust.documents import TRUST, TrustDocument, read_arrays, stating_intervals
-from sysid.trust.draws import evenly, joint_draws
+from sysid.trust.draws import evenly, joint_draws, normally
 from sysid.types import FloatArray
 from sysid.workflows.reopen import OpenedFit, reopen
 
@@ -38,6 +38,9 @@ def draw_values(
     names = [result.parameters[i].name for i in kept]
     intervals = {name: judged[name].interval_95 for name in names if name in judged}
     rows[:, [kept[names.index(name)] for name in intervals]] = evenly(intervals, count)
+    for several, covariance in opened.kind.unmoved(opened.whole).items():
+        if {*several} <= {*names}:
+            rows[:, [kept[names.index(name)] for name in several]] += normally(several, covariance, count)
     return opened.kind.numbers(opened.whole, rows)
 
 

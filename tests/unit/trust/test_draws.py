@@ -13,7 +13,7 @@ from sysid.errors import FitError
 from sysid.fit.store import write_fit
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.trust.documents import TrustDocument
-from sysid.trust.draws import STORED, evenly, joint_draws
+from sysid.trust.draws import STORED, evenly, joint_draws, normally
 from sysid.workflows.draws import drawn_sets
 from sysid.workflows.fit import fit_campaign
 from sysid.workflows.options import FitOptions
@@ -87,6 +87,13 @@ def test_an_open_parameter_is_uniform_and_takes_others_along_its_valley(judged):
     assert np.corrcoef(draws[:, 0], draws[:, 2])[0, 1] == pytest.approx(0.38, abs=0.1)
 
 
+def test_a_measured_curve_is_drawn_with_its_covariance():
+    covariance = np.array([[4.0, -1.8], [-1.8, 1.0]])
+    drawn = normally(("a", "b"), covariance, STORED)
+    np.testing.assert_allclose(np.cov(drawn.T), covariance, rtol=0.02)
+    np.testing.assert_array_equal(normally(("a", "b"), covariance, 50), drawn[:50])
+
+
 def test_fewer_draws_are_the_first_ones_and_equal_every_time(judged):
     document, arrays = judged
     whole = joint_draws(SPACE, document, arrays, STORED)
@@ -126,6 +133,11 @@ def test_draws_of_a_fit_are_exported_and_tabulated(lag, run, tmp_path):
     pd.testing.assert_frame_equal(fit.draws(50), frame[:50])
     for suffix in ("json", "csv", "h5", "mat"):
         assert run("export", lag[1], "--draws", "7", "--out", tmp_path / f"draws.{suffix}")[0] == 0
+    table = pd.read_csv(tmp_path / "draws.csv", index_col="draw")
+    np.testing.assert_array_equal(table.to_numpy(), frame[:7].to_numpy())
+    assert [head.partition(" [")[0] for head in table] == [*frame]
+    code, _, err = run("show", tmp_path / "draws.csv")
+    assert (code, "a table of draws, for other programs" in err) == (2, True)
     back = load_parameter_sets(tmp_path / "draws.json")
     np.testing.assert_array_equal(back.values, frame[:7])
     assert "mean ± σ of the draws" in run("show", tmp_path / "draws.json")[1]
