@@ -41,6 +41,8 @@ _BEYOND: Style = {"facecolor": "#F2F2F2", "hatch": "////", "edgecolor": "#BBBBBB
 _ROOM = 6.0
 # Least distance of a contour's label from other labels, and from the edges, in widths of the axes [1].
 _APART, _INSIDE = 0.11, 0.05
+# Least number of speeds, and of slopes, between which contours are smooth [1].
+_FINE = 6
 # Longest list of controllers and their thrusts in the legend [characters].
 _LONGEST = 40
 # Real landings by their outcome: word in the table of landings, marker, colour, name in the legend.
@@ -188,10 +190,10 @@ def figure_landing_maps(
         real = of_map(experiments, chart)
         if real:
             taken += list(_relative(axes, np.array([(e.speed, e.slope_deg) for e in real])))
-        if min(chart.landed.shape) > 1:
+        if min(chart.landed.shape) >= _FINE:
             _draw_contours(axes, chart, taken, legend)
-            if chart.numbers and not edges:
-                _draw_bound(axes, chart, legend)
+        if min(chart.landed.shape) > 1 and chart.numbers and not edges:
+            _draw_bound(axes, chart, legend)
         bound = (edges or {}).get((chart.surface, chart.controller))
         if bound is not None and min(bound.landed.shape) > 1:
             _draw_bound(axes, bound, legend, " with the impulse alone")

@@ -56,7 +56,7 @@ def maps_table(counts: Sequence[Mapping[str, Any]]) -> Table:
         "uncertain [%]",
     )
     return listed(
-        f"Steepest slope [deg] that {counts[0]['quorum']} land on, by touchdown speed [m/s]",
+        f"Slope [deg] up to which {counts[0]['quorum']} land, by speed [m/s]",
         rows,
         heads,
         "time, distance: mean from touchdown to rest; uncertain: cells that half the tolerance changes",

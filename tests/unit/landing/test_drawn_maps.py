@@ -122,7 +122,7 @@ def test_the_file_keeps_shares_errors_and_draws(tmp_path):
 def test_draws_need_intervals(run, tmp_path):
     code, _, err = run("landing-map", LF, "--motor", MOTOR, "--draws", "5", "--out", tmp_path / "map.h5")
     assert code == 2
-    assert "is no fit folder" in err
+    assert "--draws 5 needs the folder of a fit" in err
     assert not list(tmp_path.iterdir())
     code, _, err = run("simulate", LF, "--motor", MOTOR, "--slope", "20deg", "--speed", "0.5", "--draws", "0")
     assert code == 2

@@ -226,3 +226,12 @@ def test_a_log_of_another_curve_is_refused(table, log, other, words, path):
     path.write_text(text.replace(f"{log}.csv", f"{other}.csv"), encoding="utf-8")
     with pytest.raises(LogError, match=rf"{other}\.csv.*({words})"):
         bench_of(path)
+
+
+def test_thrust_curves_are_drawn_with_the_error_of_the_load_cell(path):
+    problem = problem_of(*bench_of(path))
+    drawn = problem.unmoved
+    assert [names[0] for names in drawn] == ["thrust_quadratic_forward", "thrust_quadratic_reverse"]
+    values = {name: value for fit in problem.bench.curves.fits for name, value in fit.parameters.items()}
+    for (quadratic, _), covariance in drawn.items():
+        assert 0.01 < math.sqrt(covariance[0, 0]) / values[quadratic] < 0.02
