@@ -52,7 +52,10 @@ def ranked_table(sets: ParameterSets, unfixed: Sequence[str] = ()) -> Table:
     for row in shown:
         loose = row.record.name in unfixed
         heading = name_and_unit(row.record.symbol, row.record.unit) + (f" {_UNFIXED}" if loose else "")
-        values = (Cell(row.text(s, 1 if loose else 4), _tone(bound)) for s, bound in enumerate(row.at_bound))
+        values = (
+            Cell(row.instead or row.text(s, 1 if loose else 4), _tone(bound))
+            for s, bound in enumerate(row.at_bound)
+        )
         rows.append([Cell(heading), *values])
     notes = [_FLAG] if any(np.any(row.at_bound) and not row.instead for row in shown) else []
     if any(row.record.name in unfixed for row in shown):
