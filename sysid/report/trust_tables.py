@@ -335,19 +335,22 @@ def comparison_table(document: Comparison) -> Table:
 
     ends = all(map(judged, document.differences))
     differs = {True: Cell("yes", "bad"), False: Cell("no"), None: Cell("not known")}
+    # What is alike in every row is said once.
+    pairs, ways = {tuple(row.fits) for row in document.differences}, {row.by for row in document.differences}
     return table(
-        "differences between the fits",
+        f"differences between {' and '.join(*pairs) if len(pairs) == 1 else 'the fits'}",
         document.differences,
         (
             _PARAMETER,
-            words("fits", lambda row: " / ".join(row.fits)),
+            words("fits", lambda row: " / ".join(row.fits)) if len(pairs) > 1 else None,
             numbers("values", lambda row: " / ".join(map(number, row.values)) if judged(row) else NONE),
             numbers("difference", lambda row: percent(row.difference, 1) if judged(row) else NONE, "%"),
             numbers("allowed", allowed, "%"),
-            words("by", attrgetter("by")),
+            words("by", attrgetter("by")) if len(ways) > 1 else None,
             words("real", lambda row: differs[row.differs]),
         ),
-        "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference; "
+        "values: minima of the profiles (best sets where there are none); allowed: 95 % of the difference"
+        f"{f', by {ways.pop()}' if len(ways) == 1 else ''}; "
         "real: larger than allowed" + ("" if ends else "; open: an interval has no end"),
     )
 

@@ -110,9 +110,9 @@ def _verdicts(
     lines = list(sentences(expected))
     # Derivatives that depend on the step make a verdict a guess.
     trusted = zip(problem.space.found, view.jacobian.trusted, strict=False)
-    rough = [row.name for row, good in trusted if not good]
+    rough = [row.symbol for row, good in trusted if not good]
     if rough:
-        lines.append(f"derivatives of {', '.join(rough)} change with the step: their verdicts are rough")
+        lines.append(f"rough verdicts, because the derivatives depend on their step: {', '.join(rough)}")
     beyond: list[str] = []
     for row in expected:
         if row.verdict == "well":

@@ -146,7 +146,9 @@ def _print_rows(console: Console, reports: Sequence[LogReport]) -> None:
     columns = (
         words("log", lambda report: Path(report.path).name),
         None if drops else numbers("lasts", lambda report: number(report.duration), "s"),
-        numbers("rate", lambda report: number(max((c.rate for c in report.channels), default=np.nan)), "Hz"),
+        numbers(
+            "rate", lambda report: number(max((c.rate for c in report.channels), default=np.nan), 5), "Hz"
+        ),
         numbers("touchdown", of_drop(lambda drop: f"{drop.touchdown:.3f}"), "s") if drops else None,
         numbers("impact", of_drop(lambda drop: f"{drop.impact_speed:.2f}"), "m/s") if drops else None,
         numbers("slope", degrees, "deg") if drops else None,
