@@ -94,6 +94,11 @@ class Problem(ABC):
         return self.only(sorted((t.name for t in self.trials if t.use == "fit"), key=name_order))
 
     @property
+    def with_rows_of_all(self) -> Self:
+        """The problem in which what is stated of a single trial is a row for every trial, fitted or not."""
+        return self
+
+    @property
     def exact(self) -> Self:
         """The problem with simulations that are exact enough for derivatives."""
         return self

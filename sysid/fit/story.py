@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -37,8 +37,6 @@ class ReadTrial:
 
     numbers: list[Read]
     ends: list[str] | None = None
-    # Further keys of a validated trial.
-    more: Mapping[str, object] = field(default_factory=dict)
 
 
 class Story(Generic[P]):
@@ -139,18 +137,32 @@ class Story(Generic[P]):
         return {}
 
     def drawn(self, fit: FitResult, values: FloatArray) -> FloatArray:
-        """Return rows (n, n_table) [SI] by which values (n, parameters) of a fit predict these trials.
+        """Return rows (n, n_table) [SI] of `Problem.with_rows_of_all` for values (n, parameters) of a fit.
 
         The first ones are the best set's. What the fit has not found is drawn from the error that the
         campaign states of it.
         """
-        space, rows = self.problem.space, self.problem.adopt(fit, values)
+        problem = self.problem.with_rows_of_all
+        space, rows = problem.space, problem.adopt(fit, values)
         random = np.random.default_rng(_SEED)
         for name, value in space.stated.items():
             column = space.table.index[name]
-            if np.all(rows[:, column] == self.problem.base[column]):
+            if np.all(rows[:, column] == problem.base[column]):
                 rows[1:, column] += error_of(value) * random.standard_normal(len(rows) - 1)
         return rows
+
+    def signals(self, fit: FitResult, values: FloatArray) -> tuple[FloatArray, ...]:
+        """Return what values (n, parameters) of a fit predict (n, samples, C) of every trial [channel units].
+
+        All but the first have errors of what the trials take as known, linearized: starts, tares, curves.
+        """
+        problem, rows = self.problem.with_rows_of_all, self.drawn(fit, values)
+        signals, moves = problem.predict(rows).signals, problem.disturbances_at(rows[0])
+        drawn = np.random.default_rng(_SEED + 1).standard_normal((len(rows) - 1, len(moves))) @ moves
+        for block in problem.blocks:
+            change = drawn[:, block.start : block.stop] * block.spread
+            signals[block.trial][1:, :, block.channel] += change
+        return signals
 
     def read(self, fit: FitResult, values: FloatArray) -> list[ReadTrial]:
         """Return numbers of use of every trial, predicted by values (n, parameters) of a fit, best first."""

@@ -42,7 +42,11 @@ FlightPhase = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 def read_drop(
-    drop: PreparedDrop, table: ParameterTable, rows: FloatArray, board_length: float | None, **simulation: Unpack[Simulation]
+    drop: PreparedDrop,
+    table: ParameterTable,
+    rows: FloatArray,
+    board_length: float | None,
+    **simulation: Unpack[Simulation],
 ) -> ReadTrial:
     """Return numbers of use of a drop and of its simulations by rows (n, n_table) [SI], best set first.
 
@@ -73,17 +77,18 @@ def read_drop(
     tracks[1:] += random.standard_normal(tracks[1:].shape) * drop.flight.noise
     tracks[flown.status[:, 0] != 0] = np.nan
     measured = bridge_gaps(motion.coordinates(), motion.valid)[None, chosen]
-    parts = [_read(drop, time, track, clock[-1], board_length) for time, track in ((clock, measured), (longer, tracks))]
+    parts = [
+        _read(drop, time, track, clock[-1], board_length)
+        for time, track in ((clock, measured), (longer, tracks))
+    ]
     numbers = [
         Read(one.what, one.unit, np.concatenate([one.values, other.values]))
         for one, other in zip(parts[0].numbers, parts[1].numbers, strict=True)
     ]
     # The first touchdown is where the simulations begin.
     known = min((each for each in numbers if "first" in each.what), key=lambda each: each.values[0])
-    return ReadTrial(
-        [each for each in numbers if each is not known], [*parts[0].ends, *parts[1].ends],
-        {"slope_deg": float(np.degrees(drop.slope))},
-    )  # fmt: skip
+    ends = [end for part in parts for end in part.ends or ()]
+    return ReadTrial([each for each in numbers if each is not known], ends)
 
 
 def _read(
@@ -125,7 +130,9 @@ def _read(
         landed, height = None, clear[:, :, foot]
         for nth in ("first", "second"):
             landed = _touchdown(height, landed)
-            numbers.append(Read(f"touchdown, {nth} of the {name}", "ms", 1000 * _crossing(since, height, landed)))
+            numbers.append(
+                Read(f"touchdown, {nth} of the {name}", "ms", 1000 * _crossing(since, height, landed))
+            )
     lost = ~np.isfinite(tracks).all(axis=(1, 2))
     cases = [lost, (leans & within).any(axis=1), (gone & within).any(axis=1), rests & within[at]]
     words = ["simulation failed", "flipped", "left the board", "at rest"]

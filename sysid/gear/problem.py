@@ -212,7 +212,7 @@ class GearProblem(Problem):
 
     @property
     def with_rows_of_all(self) -> GearProblem:
-        """The problem in which slope, release and place of every drop are rows, not of fitted ones alone."""
+        """The problem in which slope, release and place of every drop are rows."""
         trials = tuple(trial.model_copy(update={"use": "fit"}) for trial in self.campaign.trials)
         campaign = self.campaign.model_copy(update={"trials": trials})
         return replace(self, campaign=campaign, space=gear_space(campaign))

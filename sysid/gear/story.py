@@ -48,7 +48,7 @@ class GearStory(Story[GearProblem]):
         Slope and release of a drop that was not fitted have the errors that the campaign states of them.
         """
         own = self.problem.with_rows_of_all
-        board, rows = own.campaign.surface.board_length, GearStory(own).drawn(fit, values)
+        board, rows = own.campaign.surface.board_length, self.drawn(fit, values)
         table, how = own.space.table, own.simulation
         return [read_drop(drop, table, rows, board, **how) for drop in own.drops]
 

@@ -70,25 +70,27 @@ class MotorStory(Story[MotorProblem]):
         """The filter of the fast logs, and which logs went without."""
         return filter_design(self.problem.campaign, [trial.log for trial in self.problem.bench.trials])
 
-    def read(self, fit: FitResult, values: FloatArray) -> list[ReadTrial]:
-        """Return of every command how fast the motor turns in the end, when it does 90 %, when it reverses.
-
-        A log that the fit has not seen lags its command as its logs do, within their scatter.
-        """
-        problem, random = self.problem, np.random.default_rng(0)
-        rows, index = self.drawn(fit, values), problem.space.table.index
+    def drawn(self, fit: FitResult, values: FloatArray) -> FloatArray:
+        """Return rows; a log new to the fit lags its command as the fitted logs do, within their scatter."""
+        rows, index = super().drawn(fit, values), self.problem.space.table.index
         delays = np.array([
             value for value, record in zip(fit.values[0], fit.parameters, strict=True)
             if record.trial and common_name(record) == "command_delay"
         ])  # fmt: skip
         if len(delays) > 1:
-            scatter = delays.std(ddof=1) * np.sqrt(1 + 1 / len(delays))
-            for name in problem.row_logs:
+            random, scatter = np.random.default_rng(0), delays.std(ddof=1) * np.sqrt(1 + 1 / len(delays))
+            for name in self.problem.row_logs:
                 if name in index and np.all(rows[:, index[name]] == rows[:, index["command_delay"]]):
                     rows[1:, index[name]] += scatter * random.standard_normal(len(rows) - 1)
+        return rows
+
+    def read(self, fit: FitResult, values: FloatArray) -> list[ReadTrial]:
+        """Return of every command the speed in the end, when 90 % of it is there, when it passes zero."""
+        random, noise = np.random.default_rng(1), np.nan_to_num(self.problem.noise[:, 1])
         out = []
-        signals, noise = problem.predict(rows).signals, np.nan_to_num(problem.noise[:, 1])
-        for trial, predicted, sigma in zip(problem.trials, signals, noise, strict=True):
+        for trial, predicted, sigma in zip(
+            self.problem.trials, self.signals(fit, values), noise, strict=True
+        ):
             measured = np.where(trial.valid[:, 1], trial.measured[:, 1], np.nan)
             tracks = np.concatenate([measured[None], predicted[:, :, 1]])
             tracks[2:] += sigma * random.standard_normal(tracks[2:].shape)
@@ -188,7 +190,9 @@ def _read(trial: Trial, speeds: FloatArray) -> ReadTrial:
         numbers.append(Read(f"speed, after {which}", "rad/s", last))
         if abs(last[0] - first[0]) < _CHANGE * abs(first[0]):
             continue
-        numbers.append(Read(f"time to 90 %, {which}", "ms", _passes(since, track, first + 0.9 * (last - first))))
+        numbers.append(
+            Read(f"time to 90 %, {which}", "ms", _passes(since, track, first + 0.9 * (last - first)))
+        )
         if first[0] * last[0] < 0:
             numbers.append(Read(f"time to zero speed, {which}", "ms", _passes(since, track, 0.0 * first)))
     return ReadTrial(numbers)

@@ -18,6 +18,7 @@ from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
 from sysid.report.table import NONE, Cell, Table, numbers, table, words
 from sysid.report.trust_tables import AT_BOUND, ends_of, judged_cell, partners_of
 from sysid.trust.documents import Judgement, TrustDocument
+from sysid.trust.use import NOT, PREDICTS, ROUGHLY, Use
 from sysid.types import FloatArray
 
 # The verdict on a fit in one word.
@@ -26,6 +27,8 @@ IN_A_WORD = {
     ROUGHLY_BY: Cell("roughly", "doubtful"),
     NOT_BY: Cell("not explained", "bad"),
 }
+# What a fit is good for, in a word.
+OF_USE = {PREDICTS: Cell(PREDICTS, "good"), ROUGHLY: Cell(ROUGHLY, "doubtful"), NOT: Cell(NOT, "bad")}
 NOT_JUDGED = Cell("not judged", "doubtful")
 
 
@@ -39,6 +42,8 @@ class Reopened:
     noise: Mapping[str, FloatArray] = field(default_factory=dict)
     # Residual over noise [1] of the trials that the fit held back, as `sysid validate` judges them.
     held_out: Mapping[str, float] = field(default_factory=dict)
+    # What of use is predicted of these trials; None without any.
+    use: Use | None = None
     # True values by parameter [SI], of a synthesized campaign.
     truth: Mapping[str, float] = field(default_factory=dict)
     # Points behind what the fit takes as known, see `sysid.fit.story.Story.evidence`.
@@ -48,9 +53,18 @@ class Reopened:
 
 
 def answer_box(
-    title: str, word: Cell, name: str, tiles: Sequence[tuple[str, str]], following: str, sketch: Html
+    title: str,
+    word: Cell | Sequence[Cell],
+    name: str,
+    tiles: Sequence[tuple[str, str]],
+    following: str,
+    sketch: Html,
 ) -> Html:
-    """Return the box above all: verdict in one word, `tiles` (figure, words), next step, sketch."""
+    """Return the box above all: verdict in a word or more, `tiles` (figure, words), next step, sketch."""
+    verdict = "".join(
+        f'<span class="word {each.tone}">{html.escape(each.text)}</span>'
+        for each in ([word] if isinstance(word, Cell) else word)
+    )
     items = "".join(
         f"<li><b{'' if figure[:1].isdigit() else ' class=words'}>{html.escape(figure)}</b>"
         f"<span>{html.escape(what)}</span></li>"
@@ -62,7 +76,7 @@ def answer_box(
     marked = "".join(f"<code>{part}</code>" if k % 2 else part for k, part in enumerate(parts))
     return Html(
         f'<header class="answer"><h1>{html.escape(title)}</h1>{picture}'
-        f'<p><span class="word {word.tone}">{html.escape(word.text)}</span>{html.escape(name)}</p>'
+        f"<p>{verdict}{html.escape(name)}</p>"
         f'<ul class="tiles">{items}</ul>'
         f'<p class="next"><b>Next:</b> {marked}</p></header>'
     )
@@ -95,6 +109,14 @@ def predicted_over_noise(
     return "not known", f"prediction over noise: run {command}"
 
 
+def of_use(use: Use | None) -> list[tuple[str, str]]:
+    """Return how many numbers of use the bands hold, and how wide these are; nothing where none is known."""
+    if use is None or not use.word:
+        return []
+    widths = ", ".join(f"{each.what} ± {each.half_width:.2g} {each.unit}" for each in use.widths)
+    return [(f"{use.held} of {use.count}", f"numbers of use predicted within 95 % of draws: {widths}")]
+
+
 def counts(rows: Collection[Judged] | None, command: str) -> tuple[str, str]:
     """Return how many parameters are well, weakly and not identifiable."""
     if rows is None:
@@ -105,7 +127,12 @@ def counts(rows: Collection[Judged] | None, command: str) -> tuple[str, str]:
 
 
 def next_step(
-    fit: FitResult, trust: TrustDocument | None, predicted: bool, folder: str, noun: str = "trial"
+    fit: FitResult,
+    trust: TrustDocument | None,
+    predicted: bool,
+    folder: str,
+    noun: str = "trial",
+    use: Use | None = None,
 ) -> str:
     """Return the one sentence of what to do next: what stands in the way first."""
     judged = fit.provenance.get("adequacy", {})
@@ -113,6 +140,9 @@ def next_step(
         return "the search was not finished; fit again with more generations before you read a number."
     if accused := fit.settings.get(ACCUSED):
         return f"{'; '.join(accused)}."
+    good_for = ""
+    if use is not None and use.word in (PREDICTS, ROUGHLY):
+        good_for = f"maps may use the sets, because it {use.sentence}. "
     if judged.get("verdict") == NOT_BY:
         at = judged["misfit"]
         look = (
@@ -124,7 +154,7 @@ def next_step(
                 f"use {anyhow}: they need no model, and `sysid export {folder} --for gazebo` (or px4, "
                 f"ardupilot, rotorpy, crazyflow) writes them. Values of the model do not count yet: {look}"
             )
-        return f"no value counts yet: {look}"
+        return f"{good_for}No value counts by itself: {look}" if good_for else f"no value counts yet: {look}"
     if trust is None:
         return f"run `sysid trust {folder}` for intervals: what the data identify is not known yet."
     lost = [
@@ -135,6 +165,8 @@ def next_step(
     ]
     if not predicted:
         return f"run `sysid validate {folder}`: how well it predicts is not known yet."
+    if use is not None and use.word == NOT:
+        return f"do not land with these sets: it {use.sentence}. Look at the validation, trial by trial."
     if lost:
         return f"use the sets: `sysid export {folder}` writes them. {'; '.join(lost)}."
     if judged.get("verdict") == ROUGHLY_BY:

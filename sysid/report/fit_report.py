@@ -30,11 +30,13 @@ from sysid.parameters import in_words
 from sysid.report.answer import (
     IN_A_WORD,
     NOT_JUDGED,
+    OF_USE,
     Reopened,
     answer_box,
     counts,
     grouped_warnings,
     next_step,
+    of_use,
     over_noise,
     parameter_table,
     predicted_over_noise,
@@ -70,7 +72,8 @@ from sysid.report.html import (
 )
 from sysid.report.plots import Panel, View, figure_of, interactive
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
-from sysid.report.trust_tables import narrow_table, stated_table, validation_table
+from sysid.report.table import Cell
+from sysid.report.trust_tables import narrow_table, stated_table, use_tables, validation_table
 from sysid.trust import documents
 from sysid.trust.documents import (
     CrossValidationDocument,
@@ -240,14 +243,20 @@ class FitReport:
         predicted = predicted_over_noise(
             self.validations, self.known.held_out, f"sysid validate {self.folder}"
         )
+        use = documents.use_of(self.folder) or self.known.use
         tiles = (
             over_noise(self.fit),
             predicted,
+            *of_use(use),
             counts(self.fit.judged.values() if self.trust else None, f"sysid trust {self.folder}"),
         )
-        word = IN_A_WORD.get(self.fit.provenance.get("adequacy", {}).get("verdict"), NOT_JUDGED)
-        following = next_step(self.fit, self.trust, predicted[0] != "not known", str(self.folder), self.noun)
-        return answer_box(self.title, word, self.fit.name, tiles, following, self.sketch()) + self.verdict()
+        found = [IN_A_WORD.get(self.fit.provenance.get("adequacy", {}).get("verdict"), NOT_JUDGED)]
+        found += [OF_USE[use.word]] if use is not None and use.word else []
+        flagged = [name for name, document in self.validations.items() if document.flagged]
+        found += [Cell(f"validation flagged: {', '.join(flagged)}", "bad")] if flagged else []
+        known = predicted[0] != "not known"
+        following = next_step(self.fit, self.trust, known, str(self.folder), self.noun, use)
+        return answer_box(self.title, found, self.fit.name, tiles, following, self.sketch()) + self.verdict()
 
     def verdict(self) -> Html:
         """Return the verdict in sentences, and the warnings by what was found."""
@@ -478,6 +487,10 @@ class FitReport:
         for name, document in self.validations.items():
             out += markup_table(validation_table(name, document))
             out += bullets(document.reasons, "warnings")
+            if document.use is not None and document.use.sentence:
+                out += paragraph(f"{document.use.sentence[:1].upper()}{document.use.sentence[1:]}.")
+            for each in use_tables(document):
+                out += markup_table(each)
         if self.against is not None:
             out += markup_table(trial_table(self.against.parameter_sets()))
         if not self.validations:

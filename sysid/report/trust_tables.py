@@ -36,14 +36,13 @@ from sysid.trust.documents import (
     Expected,
     FreeParameter,
     JudgedTrial,
-    LeftOutTrial,
     Partner,
     SpreadOfTrial,
     StatedValue,
     TrustDocument,
-    ValidatedTrial,
     ValidationDocument,
 )
+from sysid.trust.use import ClassOfUse, NumberOfUse
 from sysid.trust.verdicts import sentences
 
 # Units of the entries of an excitation by name; an entry without a unit is a number of events.
@@ -53,9 +52,9 @@ _UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "spe
 _TELLS = 0.2
 TONES: dict[str, Tone] = {"well": "good", "weakly": "doubtful"}
 AT_BOUND = "* the best set ends at a bound of the search"
-_STOP = (
-    "stop: where (down-slope) and when the body comes to rest, or its log or board ends, since the first "
-    "touchdown; ± is the standard deviation over the sets and of the start; the NRMSE alone is flagged"
+_USE_NOTE = (
+    "places down-slope and times since the first touchdown; a foot touches where it would with its leg "
+    "unloaded; bands hold errors of start, stated values and capture as well"
 )
 _OPEN = "≤ or ≥: open, the data do not end the interval inside the bounds of the search"
 
@@ -272,31 +271,20 @@ def validation_table(name: str, document: ValidationDocument | CrossValidationDo
 
     It compares the NRMSE of the best set with what noise alone explains, also up to the third contact.
     """
-    rows: Sequence[ValidatedTrial | LeftOutTrial] = document.trials
+    rows: Sequence[JudgedTrial] = document.trials
     early = any(row.nrmse_third_contact is not None for row in rows)
     # A cross-validation keeps no samples of the trial that it leaves out.
     leaving = isinstance(document, ValidationDocument)
-    stops = any(isinstance(row, ValidatedTrial) and row.stop for row in rows)
 
     def leaves(row: JudgedTrial) -> str:
         place = row.leaves
         return f"{place.time:.3f} ({channel_symbol(place.channel)})" if place else "never"
-
-    def stopping(what: str, unit: str) -> tuple[TableColumn, ...]:
-        def measured(row: ValidatedTrial) -> str:
-            return number(row.stop[what]["measured"], 3) if row.stop else NONE
-
-        def predicted(row: ValidatedTrial) -> str:
-            return mean_sigma((row.stop[what]["mean"], row.stop[what]["sigma"])) if row.stop else NONE
-
-        return numbers("stop", measured, unit), numbers("predicted", predicted, unit, joined=True)
 
     third = (
         numbers("to 3rd touchdown", lambda row: percent(row.nrmse_third_contact), "%"),
         numbers("its ratio", lambda row: number(row.ratio_third_contact, 3), joined=True),
     )
     notes = ["off from: when the prediction is first off by more than noise"] if leaving else []
-    notes += [_STOP] if stops else []
     flag = "flagged" if document.flagged else "not flagged"
     return table(
         f"prediction of trials that were not fitted, {name}: {flag}",
@@ -308,10 +296,56 @@ def validation_table(name: str, document: ValidationDocument | CrossValidationDo
             numbers("ratio", lambda row: number(row.ratio, 3), joined=True),
             *(third if early else ()),
             numbers("off from", leaves, "s") if leaving else None,
-            *(stopping("place", "m") + stopping("time", "s") if stops else ()),
         ),
         "; ".join(notes),
     )
+
+
+def use_tables(document: ValidationDocument | CrossValidationDocument) -> list[Table]:
+    """Return what of use is predicted, number by number and in total; none where nothing is."""
+    if document.use is None or not document.use.count:
+        return []
+    rows: list[tuple[str, NumberOfUse | ClassOfUse]]
+    rows = [(trial.name, each) for trial in document.trials for each in trial.numbers]
+    rows += [(trial.name, trial.ends) for trial in document.trials if trial.ends is not None]
+
+    def band(row: tuple[str, NumberOfUse | ClassOfUse]) -> str | Cell:
+        each = row[1]
+        if isinstance(each, ClassOfUse):
+            return f"{100 * each.share:.0f} % of draws so"
+        text = f"{number(each.low, 3)} to {number(each.high, 3)}"
+        return text if each.held else Cell(f"{text}, not held", "doubtful")
+
+    def shown(row: tuple[str, NumberOfUse | ClassOfUse], which: str) -> str:
+        value = getattr(row[1], which)
+        return value if isinstance(value, str) else number(value, 4)
+
+    single = table(
+        "numbers of use, predicted",
+        rows,
+        (
+            words("trial", itemgetter(0)),
+            words("what", lambda row: getattr(row[1], "what", "end of the landing")),
+            words("unit", lambda row: getattr(row[1], "unit", "")),
+            numbers("measured", lambda row: shown(row, "measured")),
+            numbers("predicted", lambda row: shown(row, "predicted")),
+            numbers("95 % of draws", band),
+        ),
+        _USE_NOTE,
+    )
+    total = table(
+        "numbers of use, in total",
+        document.use.widths,
+        (
+            words("what", attrgetter("what")),
+            words("unit", attrgetter("unit")),
+            numbers("off by", lambda row: number(row.error, 2)),
+            numbers("95 % half-width", lambda row: number(row.half_width, 2)),
+            words("held", lambda row: f"{row.held} of {row.count}"),
+        ),
+        "medians over the trials",
+    )
+    return [single, total]
 
 
 def known_table(document: Comparison) -> Table | None:
@@ -456,4 +490,8 @@ def print_validation(
     if print_result(document.printed(), json):
         return
     print_table(validation_table(fit_folder(folder).name, document))
+    for part in use_tables(document)[-1:]:
+        print_table(part)
+    if document.use is not None and document.use.sentence:
+        print_lines([document.use.sentence])
     print_lines(document.reasons or ["not flagged: the NRMSE is within what noise explains"])

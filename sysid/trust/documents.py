@@ -24,15 +24,15 @@ from typing import Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import ConfigDict, Field
 
-from sysid.documents import Document, Open, OpenMapping, Part
+from sysid.documents import Document, OpenMapping, Part
 from sysid.errors import FitError
 from sysid.fit.adequacy import Adequacy
 from sysid.fit.provenance import CampaignFile
 from sysid.journal import notice
-from sysid.parameter_sets import ACCUSED, INTERVALS, Flags, Judged, Pair, SetsContent
+from sysid.parameter_sets import ACCUSED, INTERVALS, PREDICTS, Flags, Judged, Pair, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_files
-from sysid.trust.use import ClassOfUse, NumberOfUse, Use
+from sysid.trust.use import ClassOfUse, NumberOfUse, Use, in_use
 from sysid.types import BoolArray, FloatArray
 
 TRUST, CROSS_VALIDATION, EXPLAIN, VALIDATION = "trust", "cross-validation", "explain", "validation-"
@@ -188,6 +188,9 @@ class Leaves(Part):
 class JudgedTrial(Part):
     """A predicted trial; all numbers but ``nrmse`` are the best set's."""
 
+    # Earlier versions stated where a drop came to rest by keys of its own.
+    model_config = ConfigDict(extra="ignore")
+
     name: str
     # One value per set, best first [1].
     nrmse: list[float]
@@ -205,13 +208,6 @@ class JudgedTrial(Part):
     # What of use is predicted; none of a fit of an older version.
     numbers: list[NumberOfUse] = Field(default_factory=list)
     ends: ClassOfUse | None = None
-
-
-class ValidatedTrial(JudgedTrial):
-    """A validated trial; further keys are its kind's, see `sysid.fit.story.ReadTrial`."""
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Open]
 
 
 class LeftOutTrial(JudgedTrial):
@@ -329,7 +325,7 @@ class Judgement(Overall, TrustPart):
 class ValidationDocument(Judgement):
     """``validation-CAMPAIGN.json``: trials that were not fitted."""
 
-    trials: list[ValidatedTrial]
+    trials: list[JudgedTrial]
 
 
 class CrossValidationDocument(Judgement):
@@ -516,11 +512,32 @@ def parts(folder: Path) -> tuple[str, ...]:
 def with_intervals(sets: Sets, folder: Path) -> Sets:
     """Return the sets of a fit folder; settings state interval and verdict where the fit was assessed."""
     document = TrustDocument.read(folder) if folder.is_dir() else None
-    return sets if document is None else stating_intervals(sets, document)
+    return sets if document is None else stating_intervals(sets, document, use_of(folder))
 
 
-def stating_intervals(sets: Sets, document: TrustDocument) -> Sets:
-    """Return sets whose settings state interval and verdict of a document, and which give its warnings."""
+def use_of(folder: Path) -> Use | None:
+    """Return what the validations of a fit say that it predicts; without any, its cross-validation.
+
+    None where nothing was predicted. A document that cannot be read does not count.
+    """
+    read: list[ValidationDocument | CrossValidationDocument] = []
+    with suppress(FitError):
+        names = [part for part in parts(folder) if part.startswith(VALIDATION)]
+        read += [document for part in names if (document := ValidationDocument.read(folder, part))]
+        if not read and (cross := CrossValidationDocument.read(folder)):
+            read.append(cross)
+    used = [document for document in read if document.use is not None]
+    if not used:
+        return None
+    trials = ((trial.numbers, trial.ends) for document in used for trial in document.trials)
+    return in_use(trials, drawn=all(document.use is not None and document.use.drawn for document in used))
+
+
+def stating_intervals(sets: Sets, document: TrustDocument, use: Use | None = None) -> Sets:
+    """Return sets whose settings state interval and verdict of a document, and what `use` says of them.
+
+    They give the document's warnings.
+    """
     rows = {row.name: row.model_dump(include={*Judged.model_fields}) for row in document.parameters}
     findings = sets.provenance.get("findings", ())
     settled = {one["sentence"] for one in findings if one["code"] == "not-assessed"}
@@ -529,7 +546,9 @@ def stating_intervals(sets: Sets, document: TrustDocument) -> Sets:
     settings = {**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}}
     return replace(
         sets,
-        settings=settings | ({ACCUSED: accused} if accused else {}),
+        settings=settings
+        | ({ACCUSED: accused} if accused else {})
+        | ({PREDICTS: use.sentence} if use is not None and use.word else {}),
         warnings=tuple(warning for warning in warnings if warning not in settled),
     )
 

@@ -7,8 +7,8 @@ A draw is a point of the search's coordinates, made in three steps.
 2. A parameter whose profile leaves an end open is uniform over what the profile leaves open, inside the
    bounds, on the scale on which its effect is even (`_even`). The others follow it along the valley of the
    cost, which its profile has walked, and scatter around the valley as linearized.
-3. Every other free parameter is mapped, rank by rank, so that its draws have the ends of its profile's intervals:
-   68 % and 95 % of them lie inside, whatever the shape of the cost.
+3. Every other free parameter is mapped, rank by rank, so that its draws have the ends of its profile's
+   intervals: 68 % and 95 % of them lie inside, whatever the shape of the cost.
 
 The true cost enters by the profiles alone, without weights of importance and without a chain, because the
 cost is no likelihood: a channel counts by its NRMSE. Over the directions of the closed parameters of the
@@ -76,9 +76,9 @@ def joint_draws(
             low, high = sorted(map(float, to(np.array(found[i].interval_95))))
             level = ndtr(normal[:, i])
             at = low + (level if to(2.0) > to(1.0) else 1.0 - level) * (high - low)
-            values[i], kept = back(at), values[i]
-            points[:, i] = space.encode(np.stack(np.broadcast_arrays(*values), axis=1))[:, i]
-            values[i] = kept
+            rows = np.tile(values, (len(points), 1))
+            rows[:, i] = back(at)
+            points[:, i] = space.encode(rows)[:, i]
             order = np.argsort(to(walked[:, i]), kind="stable")
             along, valley = to(walked[:, i])[order], space.encode(walked)[order]
             for j in np.flatnonzero(tied).tolist():

@@ -85,6 +85,8 @@ class Use(Part):
 
     # "" where the numbers are too few, or the fit has no draws.
     word: str
+    # Whether draws of a fit stand behind the bands; else errors of the start and of stated values alone.
+    drawn: bool
     held: int
     count: int
     classes_right: int
@@ -95,7 +97,7 @@ class Use(Part):
     def sentence(self) -> str:
         """The word with its reasons."""
         if not self.word:
-            return f"{self.count} numbers of use were predicted: too few for a word" if self.count else ""
+            return ""
         parts = [f"{each.what} ± {each.half_width:.2g} {each.unit}" for each in self.widths]
         landed = f"; the class of the landing is right in {self.classes_right} of {self.classes}"
         return (
@@ -149,6 +151,6 @@ def in_use(trials: Iterable[tuple[list[NumberOfUse], ClassOfUse | None]], *, dra
         for (what, unit), numbers in groups.items()
     ]  # fmt: skip
     return Use(
-        word=([*words, NOT][0] if drawn and count >= FEW else ""), held=held, count=count,
+        word=[*words, NOT][0] if drawn and count >= FEW else "", drawn=drawn, held=held, count=count,
         classes_right=right, classes=len(classes), widths=widths,
     )  # fmt: skip

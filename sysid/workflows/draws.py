@@ -14,7 +14,7 @@ from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
 from sysid.journal import notice
 from sysid.parameter_sets import DRAWS, ParameterSets
-from sysid.trust.documents import TRUST, TrustDocument, read_arrays, stating_intervals
+from sysid.trust.documents import TRUST, TrustDocument, read_arrays, stating_intervals, use_of
 from sysid.trust.draws import evenly, joint_draws, normally
 from sysid.types import FloatArray
 from sysid.workflows.reopen import OpenedFit, reopen
@@ -78,7 +78,7 @@ def drawn_sets(source: str | Path, count: int) -> ParameterSets:
     if count > len(values):
         opened = reopen(folder, fit, None, None)
         values = draw_values(opened, document, read_arrays(folder, TRUST), count)
-    sets, nothing = stating_intervals(fit, document).parameter_sets(), (0,) * count
+    sets, nothing = stating_intervals(fit, document, use_of(folder)).parameter_sets(), (0,) * count
     return replace(
         sets,
         values=values[:count],

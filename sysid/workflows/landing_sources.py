@@ -19,10 +19,11 @@ from sysid.landing.controllers import Controller, Sensing, find_controller, load
 from sysid.landing.drone import Pairing, drones
 from sysid.landing.maps import Fleets
 from sysid.parallel import executor
-from sysid.parameter_sets import DRAWS, ParameterSets
+from sysid.parameter_sets import DRAWS, PREDICTS, ParameterSets
 from sysid.report.drawing import check_figure_name
 from sysid.resume import BlockStore, Computing
 from sysid.storage import check_file
+from sysid.trust.use import NOT
 from sysid.workflows.draws import sets_or_draws
 from sysid.workflows.options import ComputeOptions, MotorOptions
 from sysid.workflows.provenance import seen_from
@@ -85,6 +86,13 @@ def open_fleets(
     """
     loaded = [sets_or_draws(path, motors.draws) for path in gears]
     motor = sets_or_draws(motors.motor, motors.draws, best=True)
+    for path, sets in zip((*gears, motors.motor), (*loaded, motor), strict=True):
+        says = str(sets.settings.get(PREDICTS, ""))
+        if says.startswith(NOT) and not motors.anyway:
+            raise ExportError(
+                f"{path}: {says}; a map of these sets would mislead; mend the fit, see its report, or add "
+                "--anyway"
+            )
     fleets = paired_fleets(loaded, motor, motors.pair, [str(path) for path in gears])
     # Keys are surfaces, because fits of two surfaces may well have folders of one name.
     places = zip([fleet[0].surface for fleet in fleets], gears, loaded, strict=True)

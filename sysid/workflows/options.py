@@ -261,6 +261,7 @@ class MotorOptions:
     ] = "best"
     ideal_reversal: Annotated[bool, Flag("Let the motors reverse without delay.", panel=MORE)] = False
     draws: Draws = None
+    anyway: Annotated[bool, Flag("Take sets of a fit that does not predict.", panel=MORE)] = False
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from sysid.fit.kind import Kind, Words
 from sysid.fit.problem import Problem, computed_by
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder
-from sysid.fit.story import ReadTrial, Story
+from sysid.fit.story import Story
 from sysid.fit.trial import Prediction
 from sysid.journal import Journal, Say, notice
 from sysid.parallel import executor
@@ -30,7 +30,6 @@ from sysid.trust.documents import (
     CrossValidationDocument,
     JudgedTrial,
     LeftOutTrial,
-    ValidatedTrial,
     ValidationDocument,
     free_part,
     validation_part,
@@ -38,13 +37,15 @@ from sysid.trust.documents import (
 )
 from sysid.trust.draws import STORED
 from sysid.trust.influence import standing_out
-from sysid.trust.use import class_of_use, numbers_of_use
+from sysid.trust.use import ClassOfUse, NumberOfUse, class_of_use, numbers_of_use
 from sysid.trust.validation import judge, judgement
 from sysid.types import BoolArray, FloatArray
 from sysid.workflows.draws import stored_draws
 from sysid.workflows.kinds import naming_campaign, open_campaign
 from sysid.workflows.provenance import stated_campaign
 from sysid.workflows.reopen import open_fit
+
+OfUse = tuple[list[NumberOfUse], ClassOfUse | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,10 +183,10 @@ def validate_fit(
         _notice_unlike(judged, kind.words)
         stated = stated_campaign(problem.campaign.source, folder)
         draws = stored_draws(folder, result)
-        read = predicted.story.read(result, _behind(result.values[:1], draws))
+        read = of_use(predicted.story, result, result.values[:1], draws)
         trials = [
-            ValidatedTrial.model_validate(vars(trial) | _of_use(each) | dict(each.more))
-            for trial, each in zip(judged, read, strict=True)
+            trial.model_copy(update={"numbers": numbers, "ends": ends})
+            for trial, (numbers, ends) in zip(judged, read, strict=True)
         ]
         document = ValidationDocument(
             part=free_part(folder, validation_part(problem.campaign.name), stated),
@@ -208,15 +209,13 @@ def validate_fit(
     return document
 
 
-def _behind(best: FloatArray, draws: FloatArray | None) -> FloatArray:
-    """Return values (1 + n, parameters) [SI]: the best (1, parameters), then draws, or itself for them."""
-    return np.concatenate([best, np.repeat(best, STORED, axis=0) if draws is None else draws])
-
-
-def _of_use(read: ReadTrial) -> dict[str, object]:
-    """Return the fields of a judged trial that state what of use is predicted."""
-    ends = None if read.ends is None else class_of_use(read.ends)
-    return {"numbers": numbers_of_use(read.numbers), "ends": ends}
+def of_use(story: Story, fit: FitResult, best: FloatArray, draws: FloatArray | None) -> list[OfUse]:
+    """Return numbers of use and ends of every trial, as `best` (1, n) and draws (k, n) [SI] predict them."""
+    draws = np.repeat(best, STORED, axis=0) if draws is None else draws
+    return [
+        (numbers_of_use(read.numbers), None if read.ends is None else class_of_use(read.ends))
+        for read in story.read(fit, np.concatenate([best, draws]))
+    ]
 
 
 def _notice_unlike(judged: list[JudgedTrial], words: Words) -> None:
@@ -290,19 +289,19 @@ def cross_validate(
         predicted = predict(result, opened.kind, opened.whole.only(trials), values)
         floor = predicted.story.floor(space.full(linear.point[None])[0])
         judged = [predicted.judge(t, slice(t, t + 1), floor) for t in range(len(problem.trials))]
-        # The draws of the fit, moved to where the fit without a trial ends.
-        draws = stored_draws(opened.folder, result)
+        draws, shifts = stored_draws(opened.folder, result), space.encode(decoded) - linear.point
         columns = [names.index(name) for name in space.names]
         for t, trial in enumerate(judged):
-            behind = _behind(values[t : t + 1], draws)
+            behind = None
             if draws is not None:
-                shift = space.encode(decoded[t]) - space.encode(space.decode(linear.point[None])[0])
-                cube = np.clip(space.encode(draws[:, columns]) + shift, 0.0, 1.0)
-                behind[1:, columns] = space.decode(cube)
-            out = [i for i, row in enumerate(space.free) if place.get(opened.whole.row_logs.get(row.name, "")) == t]
-            behind[1:, [columns[i] for i in out]] = decoded[t, out]
-            read = opened.kind.story(opened.whole.only([trial.name]).exact).read(result, behind)[0]
-            judged[t] = trial.model_copy(update=_of_use(read))
+                # The draws of the fit, moved to where the fit without this trial ends.
+                behind = np.array(draws)
+                moved = space.decode(np.clip(space.encode(draws[:, columns]) + shifts[t], 0.0, 1.0))
+                own = [place.get(opened.whole.row_logs.get(row.name, "")) == t for row in space.free]
+                behind[:, columns] = np.where(own, decoded[t], moved)
+            story = opened.kind.story(opened.whole.only([trial.name]).exact)
+            ((numbers, ends),) = of_use(story, result, values[t : t + 1], behind)
+            judged[t] = trial.model_copy(update={"numbers": numbers, "ends": ends})
         document = CrossValidationDocument(
             fit=result.name,
             kind=result.kind,

@@ -22,11 +22,12 @@ from sysid.report.fit_report import FitReport
 from sysid.report.snapshots import check_film, film_bytes
 from sysid.storage import check_file, schema_of, write_file, write_files
 from sysid.trust import documents
+from sysid.trust.use import in_use
 from sysid.workflows.draws import stored_draws
 from sysid.workflows.kinds import find_report
 from sysid.workflows.map_pages import PAGES
 from sysid.workflows.options import ReportOptions
-from sysid.workflows.predict import predict, predicted_fit
+from sysid.workflows.predict import of_use, predict, predicted_fit
 from sysid.workflows.reopen import reopen
 
 
@@ -53,23 +54,27 @@ def reopened(report: FitReport) -> Reopened:
             opened = reopen(report.folder, fit, None, 1)
             stored = stored_draws(report.folder, fit)
             draws = fit.values[:0] if stored is None else stored[:_DRAWS]
-            predicted = predict(fit, opened.kind, opened.whole, np.concatenate([fit.values, draws]))
-            trials, sets = predicted.problem.trials, slice(0, len(fit.values))
+            predicted = predict(fit, opened.kind, opened.whole)
+            trials, sets = predicted.problem.trials, slice(None)
+            band = {}
+            if len(draws):
+                drawn = predicted.story.signals(fit, np.concatenate([fit.values[:1], draws]))
+                for trial, signals in zip(trials, drawn, strict=True):
+                    low, high = np.quantile(signals[1:], [0.025, 0.975], axis=0)
+                    band[trial.name] = low, high
             held_out = {
                 trial.name: float(predicted.judge(t, sets, predicted.floor).ratio)
                 for t, trial in enumerate(trials)
                 if trial.use == "validate"
             }
+            fresh = [trial.name for trial in trials if trial.use == "validate"]
+            story = opened.kind.story(opened.whole.only(fresh).exact)
+            use = in_use(of_use(story, fit, fit.values[:1], stored), drawn=stored is not None)
             truth, evidence = opened.truth, predicted.evidence
     except (SysidError, OSError) as error:
         return Reopened(why_not=str(error))
-    band = {}
-    if len(draws):
-        for trial, signals in zip(trials, predicted.scored.signals, strict=True):
-            low, high = np.quantile(signals[len(fit.values) :], [0.025, 0.975], axis=0)
-            band[trial.name] = low, high
     noise = dict(zip((trial.name for trial in trials), predicted.floor, strict=True))
-    return Reopened(band, noise, held_out, truth, evidence)
+    return Reopened(band, noise, held_out, use, truth, evidence)
 
 
 def write_report(
