@@ -19,9 +19,10 @@ from sysid.gear.starts import compared_noise, start_roots
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.synthetic.gear import DropPlan
 from sysid.trust.assessment import leave_one_out, linearize
-from sysid.trust.documents import TRUST, TrustDocument, ValidationDocument, parts, read_arrays
+from sysid.trust.documents import TRUST, TrustDocument, ValidationDocument, parts, read_arrays, use_of
 from sysid.trust.influence import influence
 from sysid.trust.sensitivity import quick_expectations
+from sysid.trust.use import NOT
 from sysid.trust.verdicts import VERDICTS
 from sysid.workflows.check import check_campaign
 from sysid.workflows.fit import fit_gear
@@ -191,7 +192,17 @@ def test_validation_takes_the_trials_that_were_not_fitted(fit):
     assert set(row.by_channel) == {"x_B", "z_B", "x_B_rate", "z_B_rate", "q_B"}
     assert row.third_contact > 0.05
     assert row.nrmse_third_contact > 0
-    assert row.stop["place"]["sigma"] < 0.05
+    numbers = {number.what: number for number in row.numbers}
+    place, tilt = numbers["rest place"], numbers["largest pitch"]
+    assert place.low < place.predicted < place.high < place.low + 10.0
+    assert tilt.measured == pytest.approx(tilt.predicted, abs=1.0)
+    # The foot that touches second does so within milliseconds of the prediction.
+    second = next(number for name, number in numbers.items() if name.startswith("touchdown, first"))
+    assert second.high - second.low < 10.0
+    assert abs(second.measured - second.predicted) < 5.0
+    assert row.ends.measured == row.ends.predicted == "at rest"
+    assert found.use.word != NOT
+    assert use_of(fit).held == found.use.held
     assert ValidationDocument.read(fit, "validation-synthetic-lf").flagged is found.flagged
     assert read_arrays(fit, "validation-synthetic-lf")["trials/1/simulated"].shape[0] == 2
 

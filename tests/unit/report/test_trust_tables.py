@@ -13,7 +13,6 @@ from sysid.report.trust_tables import (
     comparison_table,
     expected_table,
     noise_table,
-    validation_table,
 )
 from sysid.trust.comparison import Comparison, Difference
 from sysid.trust.documents import (
@@ -24,8 +23,6 @@ from sysid.trust.documents import (
     Noise,
     Partner,
     TrustDocument,
-    ValidatedTrial,
-    ValidationDocument,
 )
 from sysid.trust.influence import Influence
 from sysid.workflows.kinds import find_kind
@@ -134,16 +131,3 @@ def test_a_second_log_is_said_by_its_clock():
     quality = [{"name": "forward-1", "second_log": second}]
     line = check_lines(CheckDocument.model_construct(quality=quality, excitation={}))[0]
     assert line == "forward-1: second log rpm.csv: clock offset 0.1235 s, confidence 0.8765"
-
-
-def test_a_prediction_says_what_its_spread_is_of():
-    """The ± of a stop is no noise: a stop beside it is not flagged."""
-    stop = {key: {"measured": 0.657, "mean": 0.7014, "sigma": 0.0006} for key in ("place", "time")}
-    scores = dict.fromkeys(("floor", "ratio"), 1.0)
-    early = dict.fromkeys(("nrmse_third_contact", "ratio_third_contact", "third_contact", "leaves"))
-    trial = ValidatedTrial(name="drop-7", nrmse=[0.1], by_channel={}, **scores, **early, stop=stop)
-    shown = validation_table("fit", ValidationDocument.model_construct(trials=[trial], flagged=False))
-    heads = [column.title for column in shown.columns]
-    assert {"stop [m]", "predicted [m]", "stop [s]", "predicted [s]"} <= set(heads)
-    for words in ("comes to rest", "since the first touchdown", "over the sets", "NRMSE alone is flagged"):
-        assert words in shown.caption
