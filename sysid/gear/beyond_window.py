@@ -29,6 +29,7 @@ _REST = Ending()
 _SMOOTH = 0.11
 # Longest time after the touchdown that is looked at [s].
 _LONGEST = 5.0
+_AT_REST = "at rest"
 # Time that simulations go on beyond a log [s].
 _BEYOND = 1.0
 # Least number of samples of a flight phase that shows the centre of mass.
@@ -77,10 +78,10 @@ def read_drop(
     tracks[1:] += random.standard_normal(tracks[1:].shape) * drop.flight.noise
     tracks[flown.status[:, 0] != 0] = np.nan
     measured = bridge_gaps(motion.coordinates(), motion.valid)[None, chosen]
-    parts = [
-        _read(drop, time, track, clock[-1], board_length)
-        for time, track in ((clock, measured), (longer, tracks))
-    ]
+    seen = _read(drop, clock, measured, clock[-1], board_length)
+    # What rests no earlier than a measurement would show is no other end.
+    late = 0.0 if seen.ends == [_AT_REST] else _REST.rest_time
+    parts = [seen, _read(drop, longer, tracks, clock[-1], board_length, late)]
     numbers = [
         Read(one.what, one.unit, np.concatenate([one.values, other.values]))
         for one, other in zip(parts[0].numbers, parts[1].numbers, strict=True)
@@ -92,9 +93,17 @@ def read_drop(
 
 
 def _read(
-    drop: PreparedDrop, clock: FloatArray, tracks: FloatArray, log_end: float, board_length: float | None
+    drop: PreparedDrop,
+    clock: FloatArray,
+    tracks: FloatArray,
+    log_end: float,
+    board_length: float | None,
+    late: float = 0.0,
 ) -> ReadTrial:
-    """Return the numbers of tracks (n, samples, 3) of x, z, pitch [m, m, rad], all read alike."""
+    """Return the numbers of tracks (n, samples, 3) of x, z, pitch [m, m, rad], all read alike.
+
+    A body that rests from `late` before the end of the log on counts as moving [s].
+    """
     since, last = clock - drop.touchdown, len(clock) - 1
     touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ drop.feet.tangent)
     width = min(2 * int(_SMOOTH * drop.motion.rate / 2) + 1, last + last % 2)
@@ -134,8 +143,13 @@ def _read(
                 Read(f"touchdown, {nth} of the {name}", "ms", 1000 * _crossing(since, height, landed))
             )
     lost = ~np.isfinite(tracks).all(axis=(1, 2))
-    cases = [lost, (leans & within).any(axis=1), (gone & within).any(axis=1), rests & within[at]]
-    words = ["simulation failed", "flipped", "left the board", "at rest"]
+    cases = [
+        lost,
+        (leans & within).any(axis=1),
+        (gone & within).any(axis=1),
+        rests & (clock[at] <= log_end - late),
+    ]
+    words = ["simulation failed", "flipped", "left the board", _AT_REST]
     return ReadTrial(numbers, np.select(cases, words, "still moving").tolist())
 
 

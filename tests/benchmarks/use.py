@@ -4,11 +4,11 @@
     python tests/benchmarks/use.py foreign --seeds 201-210 [--terms 3]
     python tests/benchmarks/use.py wrong --seeds 1-5
 
-Campaigns of other drones and motors, as `stated_values.py` makes them: with their true values stated exactly
-(`right`), with physics that the model lacks (`foreign`), and with a value of the campaign that is off by 15 %
-and believed exactly (`wrong`). The model is fitted in one run; its held-out trials are predicted. Printed for
-each: verdict, misfit over noise, the word, numbers held, and which share of the held-out samples the 95 %
-band of draws holds, where these come from a twin campaign without noise.
+Campaigns of other drones and motors, as `stated_values.py` makes them: with values off by the errors that
+they state (`right`), with true values and physics that the model lacks (`foreign`), and with one value that
+is off by 15 % and believed exactly (`wrong`). The model is fitted in one run; its held-out trials are
+predicted. Printed for each: verdict, misfit over noise, the word, numbers held, and which share of the
+held-out samples the 95 % band of draws holds, where these come from a twin campaign without noise.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from fakes.foreign_gear import drawn_terms, simulator
-from fakes.lab import misstated
+from fakes.lab import GOOD_LAB, MOTOR_LAB, misstated
 from stated_values import DRAWN, DRAWN_MOTOR
 from sysid.export import read_judged_fit
 from sysid.gear.model import parameters_on
@@ -85,6 +85,9 @@ def main():
             path = campaign(Path(folder) / "logs", arguments.law, seed, terms, quiet=False)
             twin = campaign(Path(folder) / "twin", arguments.law, seed, terms, quiet=True)
             what = ""
+            if arguments.case == "right":
+                lab = MOTOR_LAB if arguments.law == "motor" else GOOD_LAB
+                path = misstated(path, seed, name="stated.toml", errors=lab)
             if arguments.case == "wrong":
                 what = WRONG[seed % len(WRONG)]
                 path = misstated(
@@ -92,7 +95,8 @@ def main():
                 )
             fit = Path(folder) / "fit"
             begin = fit_motor if arguments.law == "motor" else fit_gear
-            begin(path, FitOptions(out=fit, runs=1, quiet=True, check=False, exact=arguments.case == "wrong"))
+            exact = {"exact": True} if what else {}
+            begin(path, FitOptions(out=fit, runs=1, quiet=True, check=False, **exact))
             trust = TrustDocument.read(fit)
             document = validate_fit(fit, path)
             use, judged = document.use, trust.adequacy
