@@ -182,7 +182,7 @@ def landing_map(
     pair: Pairing = "best", ideal_reversal: bool = False, check: bool = True, horizon: Quantity = 3.0,
     short: Quantity = 0.45, long: Quantity = 1.0, rest_speed: Quantity = 0.05, rest_turn: Quantity = 0.2,
     rest_time: Quantity = 0.2, flip_angle: Quantity = "80 deg", draws: int | None = None,
-    threads: int | None = None,
+    anyway: bool = False, threads: int | None = None,
 ) -> LandingMaps:  # fmt: skip
     """Return what becomes of landings over slope [deg] and touchdown speed [m/s].
 
@@ -197,7 +197,7 @@ def landing_map(
     >>> sysid.landing_map(gear, motor, slopes="0:30:15 deg", speeds=[0.3, 0.6], check=False)
     <LandingMaps: 2 maps of 3 × 2 cells>
     """
-    fleets, origin = _fleets(gears, motor, pair, ideal_reversal, draws)
+    fleets, origin = _fleets(gears, motor, pair, ideal_reversal, draws, anyway)
     tilted = python_options(TouchdownOptions, {**locals(), "slope": 0.0, "speed": 0.0}).begin
     settings = python_options(
         MapSettings, locals(), slopes_deg=_grid(slopes, "slopes", "deg"), speeds=_grid(speeds, "speeds"),
@@ -220,7 +220,7 @@ def impulse_map(
     equal: Quantity = 0.0, pair: Pairing = "best", ideal_reversal: bool = False, check: bool = True,
     horizon: Quantity = 3.0, short: Quantity = 0.45, long: Quantity = 1.0, rest_speed: Quantity = 0.05,
     rest_turn: Quantity = 0.2, rest_time: Quantity = 0.2, flip_angle: Quantity = "80 deg",
-    draws: int | None = None, threads: int | None = None,
+    draws: int | None = None, anyway: bool = False, threads: int | None = None,
 ) -> LandingMaps:  # fmt: skip
     """Return the best impulse of every cell, and what becomes of landings with it.
 
@@ -236,7 +236,7 @@ def impulse_map(
     >>> sysid.impulse_map(gear, motor, check=False, **grid)
     <LandingMaps: 3 maps of 2 × 1 cells>
     """
-    fleets, origin = _fleets(gears, motor, pair, ideal_reversal, draws)
+    fleets, origin = _fleets(gears, motor, pair, ideal_reversal, draws, anyway)
     settings = python_options(
         MapSettings, locals(), slopes_deg=_grid(slopes, "slopes", "deg"), speeds=_grid(speeds, "speeds")
     )
@@ -287,7 +287,8 @@ def design_study(
     share: float = 0.5, spread: float = 0.0, together: bool = False, pair: Pairing = "best",
     ideal_reversal: bool = False, horizon: Quantity = 3.0, short: Quantity = 0.45, long: Quantity = 1.0,
     rest_speed: Quantity = 0.05, rest_turn: Quantity = 0.2, rest_time: Quantity = 0.2,
-    flip_angle: Quantity = "80 deg", draws: int | None = None, threads: int | None = None,
+    flip_angle: Quantity = "80 deg", draws: int | None = None, anyway: bool = False,
+    threads: int | None = None,
 ) -> DesignTable:  # fmt: skip
     """Vary legs, feet and motors: which change buys most.
 
@@ -303,7 +304,7 @@ def design_study(
     <DesignTable of published-gear-lf: 3 designs, k_t ×>
     """
     changes = find_changes(vary)
-    (fleet,), _ = _fleets([gear], motor, pair, ideal_reversal, draws)
+    (fleet,), _ = _fleets([gear], motor, pair, ideal_reversal, draws, anyway)
     settings = python_options(
         StudySettings, locals() | {"spread_deg": spread}, slopes_deg=_grid(slopes, "slopes", "deg"),
         speeds=_grid(speeds, "speeds"),
@@ -336,12 +337,17 @@ def static_limits(sets: Sets, thrust: float | Sequence[float] = (0.0, 12.0)) -> 
 
 
 def _fleets(
-    gears: Sets | Sequence[Sets], motor: Sets, pair: Pairing, ideal_reversal: bool, draws: int | None
+    gears: Sets | Sequence[Sets],
+    motor: Sets,
+    pair: Pairing,
+    ideal_reversal: bool,
+    draws: int | None,
+    anyway: bool,
 ) -> tuple[Fleets, dict[str, object]]:
     """Return the drones of every gear, and where their numbers come from."""
     loaded = [_drawn(gear, draws) for gear in _several(gears, "gears")]
     rotor = _drawn(motor, draws, best=True)
-    fleets = paired_fleets(loaded, rotor, pair, [sets.name for sets in loaded])
+    fleets = paired_fleets(loaded, rotor, pair, [one.name for one in (*loaded, rotor)], anyway=anyway)
     origins = {
         fleet[0].surface: {"name": sets.name, **sets.provenance}
         for fleet, sets in zip(fleets, loaded, strict=True)

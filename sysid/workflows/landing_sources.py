@@ -61,17 +61,30 @@ def chosen_controllers(
 
 
 def paired_fleets(
-    gears: Sequence[ParameterSets], motor: ParameterSets, pair: Pairing, names: Sequence[str]
+    gears: Sequence[ParameterSets],
+    motor: ParameterSets,
+    pair: Pairing,
+    names: Sequence[str],
+    *,
+    anyway: bool,
 ) -> Fleets:
     """Return the drones of the sets of every gear, see `sysid.landing.drone.drones`.
 
-    ExportError, which names the gears, where two have one surface.
+    ExportError, with one of the `names` of gears and motor, where two gears have one surface, or sets are of
+    a fit that does not predict, unless they are taken `anyway`.
     """
+    for name, sets in zip(names, (*gears, motor), strict=True):
+        says = str(sets.settings.get(PREDICTS, ""))
+        if says.startswith(NOT) and not anyway:
+            raise ExportError(
+                f"{name}: {says}; a map of these sets would mislead; see the validation in the report and "
+                "mend the fit, or add --anyway (in Python anyway=True)"
+            )
     fleets = tuple(drones(gear, motor, pair) for gear in gears)
     surfaces = [fleet[0].surface for fleet in fleets]
     if len(set(surfaces)) < len(surfaces):
         raise ExportError(
-            f"{', '.join(names)}: the surfaces are {', '.join(surfaces)}; give one gear file per surface"
+            f"{', '.join(names[:-1])}: the surfaces are {', '.join(surfaces)}; give one gear file per surface"
         )
     return fleets
 
@@ -86,14 +99,8 @@ def open_fleets(
     """
     loaded = [sets_or_draws(path, motors.draws) for path in gears]
     motor = sets_or_draws(motors.motor, motors.draws, best=True)
-    for path, sets in zip((*gears, motors.motor), (*loaded, motor), strict=True):
-        says = str(sets.settings.get(PREDICTS, ""))
-        if says.startswith(NOT) and not motors.anyway:
-            raise ExportError(
-                f"{path}: {says}; a map of these sets would mislead; mend the fit, see its report, or add "
-                "--anyway"
-            )
-    fleets = paired_fleets(loaded, motor, motors.pair, [str(path) for path in gears])
+    names = [str(path) for path in (*gears, motors.motor)]
+    fleets = paired_fleets(loaded, motor, motors.pair, names, anyway=motors.anyway)
     # Keys are surfaces, because fits of two surfaces may well have folders of one name.
     places = zip([fleet[0].surface for fleet in fleets], gears, loaded, strict=True)
     gear = {surface: _origin(path, sets, out) for surface, path, sets in places}

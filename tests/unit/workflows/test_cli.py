@@ -26,6 +26,7 @@ from sysid.cli.adapter import command
 from sysid.fit.store import write_fit
 from sysid.motor.bench_logs import campaign_range, read_log
 from sysid.trust.documents import Judgement
+from sysid.trust.use import NOT, in_use
 
 
 def edit(path, old, new, count=1):
@@ -127,13 +128,16 @@ def test_new_campaign_writes_a_template(tmp_path, run, refused):
 
 @pytest.mark.parametrize("verb", ["validate", "cross-validate"])
 def test_a_flagged_prediction_ends_with_code_3(verb, monkeypatch, tmp_path, run):
-    for flagged in (True, False):
+    no_word = in_use([], drawn=True)
+    useless = no_word.model_copy(update={"word": NOT})
+    for flagged, use in ((True, None), (False, useless), (False, None), (False, no_word)):
         for name in ("validate_fit", "cross_validate"):
-            document = Judgement.model_construct(flagged=flagged)
+            document = Judgement.model_construct(flagged=flagged, use=use)
             monkeypatch.setattr(f"sysid.workflows.predict.{name}", lambda *_, d=document, **__: d)
         more = (tmp_path / "campaign.toml",) if verb == "validate" else ()
         code, out, _ = run(verb, tmp_path, *more, "--json")
-        assert (code, json.loads(out)) == (3 if flagged else 0, {"flagged": flagged})
+        assert code == (3 if flagged or use is useless else 0)
+        assert json.loads(out)["flagged"] is flagged
 
 
 def test_an_unfinished_fit_ends_with_code_3_where_that_is_asked_for(drops, run):

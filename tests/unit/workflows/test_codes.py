@@ -9,7 +9,7 @@ from sysid.workflows.codes import CODES
 
 SOURCE = Path(sysid.__file__).parent
 # Position of the code among the arguments of what makes warnings.
-MAKERS = {"notice": 0, "Finding": 0, "about": 1, "_notice": 0}
+MAKERS = {"notice": 0, "Finding": 0, "about": 1, "_notice": 0, "_hold": 0}
 
 
 def emitted():
