@@ -224,7 +224,8 @@ def _named(curve_logs: Sequence[CurveLog], table: str, direction: Rotation) -> l
 def _check_propeller(direction: Rotation, curve_logs: Sequence[CurveLog], logs: Sequence[BenchLog]) -> None:
     """Refuse a curve's log whose torque is not that of the trials' propeller, or of none under no_load."""
     loads = _drags(direction, SteadyPoints.join([log_points(log) for log in logs])) if logs else np.zeros(0)
-    if not loads.size:
+    # A torque that shows nothing is refused elsewhere.
+    if not loads.size or not np.median(loads) > 0:
         return
     for table, least, most, word in (
         ("static", _LEAST_LOADED, _MOST_LOADED, "with the propeller of the trials"),

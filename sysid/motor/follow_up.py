@@ -202,11 +202,12 @@ def follow_up(problem: MotorProblem, course: Course) -> FitOutcome:
     # A rise within one step of the finest grid that any fitted log is compared on leaves no sample inside it.
     finest = min(float(np.median(np.diff(trial.target.time))) for trial in bench.fitted)
     if "winding_inductance" in space.names and rise <= finest:
+        fast = any(trial.log.fast for trial in bench.fitted)
+        step = "raise filter.stop_edge, if the noise allows it" if fast else "record at 1 kHz"
         notice(
             "inductance-unresolved",
-            f"L/R of the best set is {1e3 * rise:.3g} ms, but the fastest fitted log has a row every "
-            f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small; record "
-            + ("at 1 kHz" if finest > 1e-3 else "more often"),
+            f"L/R of the best set is {1e3 * rise:.3g} ms, but the fastest fitted log is compared every "
+            f"{1e3 * finest:.3g} ms: the logs only say that L is small, not how small; {step}",
         )
 
     unknown = untested_rows(campaign, bench)

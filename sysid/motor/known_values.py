@@ -16,6 +16,7 @@ from sysid.fit.trial import name_order
 from sysid.journal import notice
 from sysid.motor.bench_logs import BenchLog, TorquePerCurrent, bench_log, check_options, torque_per_current
 from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_curves
+from sysid.motor.inertia import spike_inertia
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.motor.parameters import parameters_of
@@ -46,6 +47,8 @@ NO_INDUCTANCE = (
     "L is not fitted: the winding settles between two rows of such logs, so the fit takes the smallest L of "
     "the model; record torque and speed at 1 kHz or more to determine R and L"
 )
+# Factor between a stated value and the logs that only a wrong unit explains [1].
+_ABSURD = 10.0
 # Largest relative error of a rating that agrees with the logged current [1].
 _SCALE_AGREES = 0.1
 
@@ -138,6 +141,7 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
         _check_kv(campaign.motor.kv, reference, curves)
     current = torque_per_current(fitted) if campaign.log.current == "motor" else None
     values, measured, stated = _known_values(campaign, curves, reference, voltage_source, current)
+    _check_ratings(campaign, fitted, curve_logs, values)
     points = SteadyPoints.join(list(curves.loaded.values()))
     slow = not any(log.fast for log in fitted) and campaign.log.current == "supply"
     power = None
@@ -202,8 +206,35 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
         raise CampaignError(f'{sentence}; {kv:.4g} looks like rpm/V: write kv = "{kv:.4g} rpm/V"')
     if low <= ratio * slip <= high:
         raise CampaignError(f'{sentence}; {rpm:.4g} looks like rad/s/V: write kv = "{rpm:.4g} rad/s/V"')
+    if not low / _ABSURD <= ratio <= high * _ABSURD:
+        raise CampaignError(f"{sentence}; correct kv or reference_voltage, and their units")
     if not low <= ratio <= high:
         notice("odd-kv", f"{sentence}; check kv and reference_voltage")
+
+
+def _check_ratings(
+    campaign: MotorCampaign,
+    fitted: Sequence[BenchLog],
+    curve_logs: Sequence[CurveLog],
+    values: dict[str, float],
+) -> None:
+    """Refuse a supply or an inertia that is `_ABSURD` times what the logs show: a slip of a unit."""
+    motor = campaign.motor
+    volts = [log.channels["voltage"][1] for log in fitted if "voltage" in log.channels]
+    volts += [log.points.voltage for log in curve_logs]
+    shown = {"reference_voltage": float(np.nanmedian(np.concatenate([*volts, [np.nan]])))} if volts else {}
+    if motor.rotor_inertia is not None:
+        spikes = spike_inertia(campaign, fitted, PARAMETERS.nominal | values)
+        # Of slow logs a spike is mostly noise.
+        if spikes.error["up"] < 0.2 * spikes.value["up"]:
+            shown["rotor_inertia"] = spikes.value["up"]
+    for name, seen in shown.items():
+        value, unit = getattr(motor, name), PARAMETERS[name].unit
+        if value is not None and np.isfinite(seen) and not 1 / _ABSURD <= value / seen <= _ABSURD:
+            raise CampaignError(
+                f"motor.{name} = {value:.4g} {unit} is {value / seen:.2g} × the {seen:.3g} {unit} that the "
+                "logs show: correct the value or its unit"
+            )
 
 
 def _reference_voltage(

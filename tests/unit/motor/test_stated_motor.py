@@ -235,3 +235,15 @@ def test_thrust_curves_are_drawn_with_the_error_of_the_load_cell(path):
     values = {name: value for fit in problem.bench.curves.fits for name, value in fit.parameters.items()}
     for (quadratic, _), covariance in drawn.items():
         assert 0.01 < math.sqrt(covariance[0, 0]) / values[quadratic] < 0.02
+
+
+@pytest.mark.parametrize(("key", "text", "words"), [
+    ("rotor_inertia", "0.027 kg·m²", r"rotor_inertia = 0\.027 kg·m² is 1e\+03 × the 2\.\d+e-05 kg"),
+    ("rotor_inertia", "2.7e-8 kg·m²", r"rotor_inertia = 2\.7e-08 kg·m² is 0\.001 × the"),
+    ("reference_voltage", "11.1 mV", r"reference_voltage = 0\.0111 V is 0\.001 × the 11\.1 V"),
+    ("kv", "0.96 rpm/V", "motor.kv: .* correct kv or reference_voltage, and their units"),
+])  # fmt: skip
+def test_a_slip_of_a_unit_is_refused(key, text, words, path):
+    there = edited(path, (f"^{key} = .*", f'{key} = "{text}"'), name="there.toml")
+    with pytest.raises(CampaignError, match=words):
+        bench_of(there)
