@@ -187,7 +187,8 @@ class Judgement(Shown, Generic[Doc]):
             return tuple(document.sentences)
         if isinstance(document, TrustDocument):
             return (document.adequacy.sentence,) if document.adequacy else ()
-        return tuple(document.reasons)
+        use = getattr(document, "use", None)
+        return (*document.reasons, *([use.sentence] if use is not None and use.sentence else []))
 
     @property
     def table(self) -> pd.DataFrame:

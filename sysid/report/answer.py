@@ -113,8 +113,7 @@ def of_use(use: Use | None) -> list[tuple[str, str]]:
     """Return how many numbers of use the bands hold, and how wide these are; nothing where none is known."""
     if use is None or not use.word:
         return []
-    widths = ", ".join(f"{each.what} ± {each.half_width:.2g} {each.unit}" for each in use.widths)
-    return [(f"{use.held} of {use.count}", f"numbers of use predicted within 95 % of draws: {widths}")]
+    return [(f"{use.held} of {use.count}", f"numbers of use predicted within 95 % of draws: {use.in_widths}")]
 
 
 def counts(rows: Collection[Judged] | None, command: str) -> tuple[str, str]:

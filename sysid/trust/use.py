@@ -94,15 +94,20 @@ class Use(Part):
     widths: list[Width]
 
     @property
+    def in_widths(self) -> str:
+        """The half-widths in words, each with its unit on one line."""
+        parts = (f"{each.what} ±\u00a0{each.half_width:.2g}\u00a0{each.unit}" for each in self.widths)
+        return ", ".join(parts)
+
+    @property
     def sentence(self) -> str:
         """The word with its reasons."""
         if not self.word:
             return ""
-        parts = [f"{each.what} ± {each.half_width:.2g} {each.unit}" for each in self.widths]
         landed = f"; the class of the landing is right in {self.classes_right} of {self.classes}"
         return (
             f"{self.word}: 95 % bands of draws hold {self.held} of {self.count} numbers of use"
-            f"{landed if self.classes else ''}; half-widths (median): {', '.join(parts)}"
+            f"{landed if self.classes else ''}; half-widths (median): {self.in_widths}"
         )
 
 
