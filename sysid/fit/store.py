@@ -137,7 +137,9 @@ def _meant(path: Path) -> str:
     """Return which fits a path that holds none may stand for, the likeliest first, in words."""
     place = path if path.is_dir() else path.parent
     found = [file.parent for pattern in ("*/fit.h5", "*/*/fit.h5") for file in place.glob(pattern)]
-    found += [file for file in place.glob("*.h5") if file != path]
+    # The other files of a fit's folder are no fits.
+    inside = (place / "fit.h5").is_file()
+    found += [place] if inside else [file for file in place.glob("*.h5") if file != path]
     found.sort(key=lambda one: (-SequenceMatcher(None, one.stem, path.stem).ratio(), one))
     names = [shlex.quote(str(one)) for one in found[:3]]
     if not names and (path / "campaign.toml").is_file():

@@ -200,6 +200,7 @@ def test_the_nearest_fit_is_named(lag, refused, tmp_path):
     parent = lag[1].parent
     refused(["did you mean", str(lag[1])], "trust", parent)
     refused(f"did you mean {lag[1]}", "report", parent / "fiit")
+    refused(f"did you mean {lag[1]}?", "trust", lag[1] / "nosuch")
     refused("nosuch.h5: is not there; expected", "report", tmp_path / "nosuch.h5")
 
 
