@@ -489,8 +489,9 @@ class FitReport:
             out += bullets(document.reasons, "warnings")
             if document.use is not None and document.use.sentence:
                 out += paragraph(f"{document.use.sentence[:1].upper()}{document.use.sentence[1:]}.")
-            for each in use_tables(document):
-                out += markup_table(each)
+            if tables := use_tables(document):
+                single, total = tables
+                out += markup_table(total) + unfoldable("Number by number", markup_table(single))
         if self.against is not None:
             out += markup_table(trial_table(self.against.parameter_sets()))
         if not self.validations:

@@ -313,7 +313,7 @@ def use_tables(document: ValidationDocument | CrossValidationDocument) -> list[T
         each = row[1]
         if isinstance(each, ClassOfUse):
             return f"{100 * each.share:.0f} % of draws so"
-        text = f"{number(each.low, 3)} to {number(each.high, 3)}"
+        text = f"{number(each.low)} to {number(each.high)}"
         return text if each.held else Cell(f"{text}, not held", "doubtful")
 
     def shown(row: tuple[str, NumberOfUse | ClassOfUse], which: str) -> str:
