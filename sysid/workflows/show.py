@@ -14,13 +14,14 @@ from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder
-from sysid.parameter_sets import ACCUSED, ADEQUACY, DRAWS, KNOWN_ANYHOW, NOT_ASSESSED, ParameterSets
+from sysid.parameter_sets import ACCUSED, ADEQUACY, DRAWS, KNOWN_ANYHOW, NOT_ASSESSED, PREDICTS, ParameterSets
 from sysid.plugin import NAMED
 from sysid.report.explain import conclusion
 from sysid.report.fold import print_lines, print_table
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
 from sysid.report.trust_tables import answer_table
 from sysid.trust.documents import ExplainDocument
+from sysid.trust.use import NOT
 
 
 def print_sets(source: str | Path, json: bool) -> None:
@@ -33,6 +34,8 @@ def print_sets(source: str | Path, json: bool) -> None:
     if judged := sets.provenance.get(ADEQUACY):
         print_lines([judged["sentence"]], "" if judged["verdict"] == EXPLAINED_BY else "bold yellow")
     print_lines(sets.settings.get(ACCUSED, ()), "bold yellow")
+    if says := sets.settings.get(PREDICTS):
+        print_lines([str(says)], "bold yellow" if str(says).startswith(NOT) else "")
     _print_tables(sets)
     path = Path(source)
     folder = fit_folder(path) if path.is_dir() or path.name == "fit.h5" else None
