@@ -204,11 +204,13 @@ class Problem(ABC):
         With N independent samples the logarithm of the NRMSE is the log-likelihood over -N, and a stated
         value that is left by p standard errors takes p²/2 off the log-likelihood.
         """
-        nrmse = self.cost.mean(scores.by_channel)
+        return np.asarray(self.cost.mean(scores.by_channel) * self.of_stated(rows))
+
+    def of_stated(self, rows: FloatArray) -> FloatArray:
+        """Return by how much stated values that are left raise the cost of rows (P,) over their NRMSE [1]."""
         if not self.space.stated:
-            return nrmse
-        squares = np.sum(self.space.pulls(rows) ** 2, axis=1)
-        return np.asarray(nrmse * np.exp(squares / (2 * self.independent)))
+            return np.ones(len(rows))
+        return np.asarray(np.exp(np.sum(self.space.pulls(rows) ** 2, axis=1) / (2 * self.independent)))
 
     def examine(self, cube: FloatArray) -> tuple[Evaluation, FloatArray]:
         """Return what `evaluate` returns, and the residuals (P, m) [1]; NaN where a simulation failed."""

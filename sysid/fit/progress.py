@@ -21,6 +21,7 @@ from sysid.fit.optima import CUT
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import REASONS
 from sysid.journal import Say
+from sysid.types import FloatArray
 
 # Least time between two plain lines [s]: in a file, and in a notebook or for a function that hears them.
 PLAIN_INTERVAL, LINE_INTERVAL = 10.0, 0.5
@@ -111,14 +112,23 @@ class FitProgress(LiveBlock):
         self._simulated = simulated
         self._started = self._began
         self._noise = self._candidate_time = math.nan
+        self._of_stated: Callable[[FloatArray], float] = lambda point: 1.0
         self._running: dict[int, Generation] = {}
         self._ended: dict[int, RunHistory] = {}
         # Candidates of every run that a checkpoint had scored before.
         self._before: dict[int, int] = {}
 
-    def expect(self, noise: float, candidate_time: float) -> None:
-        """Take what noise alone costs (NaN: unknown) [1], and what a candidate takes at first [s]."""
-        self._noise, self._candidate_time = noise, candidate_time
+    def expect(
+        self,
+        noise: float,
+        candidate_time: float,
+        of_stated: Callable[[FloatArray], float] = lambda point: 1.0,
+    ) -> None:
+        """Take what noise alone costs (NaN: unknown) [1], and what a candidate takes at first [s].
+
+        `of_stated` tells by how much stated values raise the cost of a point (n_free,) over its NRMSE [1].
+        """
+        self._noise, self._candidate_time, self._of_stated = noise, candidate_time, of_stated
 
     def __enter__(self) -> Self:
         super().__enter__()
@@ -137,7 +147,7 @@ class FitProgress(LiveBlock):
         self._ended[run] = history
         lost, why = int(history.failed.sum()), history.stop_reason
         self.say(
-            f"run {run + 1}/{self._settings.runs} ended: {self._score(float(history.best[-1]))}, "
+            f"run {run + 1}/{self._settings.runs} ended: {self._score_of(history)}, "
             f"{history.wall_time:.1f} s, {history.evaluations} candidates"
             + (f", {lost} failed" if lost else "")
             + (f" ({REASONS[why]})" if why in CUT else "")
@@ -151,11 +161,15 @@ class FitProgress(LiveBlock):
         over = f" = {nrmse / self._noise:.2f} × noise" if self._noise > 0 else ""
         return f"NRMSE {100 * nrmse:.2f} %{over}"
 
+    def _score_of(self, history: RunHistory) -> str:
+        """Return the score of a run that ended, as the verdict on its best set states it."""
+        return self._score(float(history.best[-1]) / self._of_stated(history.best_point))
+
     def line(self, run: int) -> str:
         """Return how far a run (from 0) is; fits 80 columns."""
         head = f"run {run + 1}/{self._settings.runs}"
         if run in self._ended:
-            return f"{head}  ended  {self._score(float(self._ended[run].best[-1]))}"
+            return f"{head}  ended  {self._score_of(self._ended[run])}"
         if run not in self._running:
             return f"{head}  waits"
         now = self._running[run]

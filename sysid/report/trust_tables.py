@@ -80,7 +80,7 @@ def partners_of(strongest: Sequence[Partner], symbols: Mapping[str, str]) -> str
     return ", ".join(pairs) or NONE
 
 
-def _correlated(rows: Iterable[FreeParameter] | Iterable[Expected]) -> TableColumn:
+def _correlated(rows: Iterable[FreeParameter | Expected | StatedValue]) -> TableColumn:
     """Return the column of correlated parameters, by symbol."""
     symbols = {row.name: row.symbol for row in rows}
     return words("correlates with", lambda row: partners_of(row.partners, symbols))

@@ -264,7 +264,11 @@ def _search(
     if options.resume:
         begun, stages = checkpoint.state()
         tell(f"continuing {begun} runs after {stages} finished stages")
-    progress.expect(noise_floor(fitted.blocks), candidate_time)
+    progress.expect(
+        noise_floor(fitted.blocks),
+        candidate_time,
+        lambda point: float(fitted.of_stated(fitted.space.full(point[None]))[0]),
+    )
     with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
         hooks = Hooks(progress.on_generation, progress.on_run, should_stop)
         runs = run_many(

@@ -37,6 +37,9 @@ def test_a_run_says_its_stage_its_cost_over_noise_and_its_speed():
     assert progress.line(1) == "run 2/5  ga 7  NRMSE 5.00 % = 1.25 × noise  63 drops/s"
     progress.on_run(1, HISTORY)
     assert progress.line(1) == "run 2/5  ended  NRMSE 5.00 % = 1.25 × noise"
+    # The cost of stated values is no NRMSE.
+    progress.expect(0.04, 1e-3, lambda point: 1.25)
+    assert progress.line(1) == "run 2/5  ended  NRMSE 4.00 % = 1.00 × noise"
 
 
 def test_the_time_left_is_known_from_the_first_second(monkeypatch):
