@@ -81,7 +81,7 @@ def partners_of(strongest: Sequence[Partner], symbols: Mapping[str, str]) -> str
 
 
 def _correlated(rows: Iterable[FreeParameter | Expected | StatedValue]) -> TableColumn:
-    """Return the column of correlated parameters, by symbol."""
+    """Return the column of the correlated among some parameters, by symbol."""
     symbols = {row.name: row.symbol for row in rows}
     return words("correlates with", lambda row: partners_of(row.partners, symbols))
 
@@ -120,7 +120,7 @@ def interval_table(document: TrustDocument) -> Table:
             numbers("95 % interval", attrgetter("interval")),
             numbers("half-width", lambda row: half_width(row.half_width), "%"),
             _VERDICT,
-            _correlated(rows),
+            _correlated([*rows, *document.stated]),
             numbers("bootstrap 95 %", lambda row: ends_of(row.bootstrap_95))
             if any(row.bootstrap_95 for row in rows)
             else None,
