@@ -18,7 +18,7 @@ from sysid.errors import LogError, SysidError
 from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget
 from sysid.gear.model import parameters_on
-from sysid.gear.plausible import notice_contradictions, notice_slope
+from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle, notice_slope
 from sysid.gear.swaps import swaps
 from sysid.journal import Journal, note, notice
 from sysid.recording import Recording
@@ -138,6 +138,7 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
         except LogError:
             # A misstated value of the campaign is the likely cause, so it is named first.
             seen = inspect_recording(recording, campaign.vehicle.gravity)
+            notice_odd_vehicle(campaign)
             notice_contradictions(campaign, trial, seen.drop)
             _notice_swap(campaign, read, rest)
             raise

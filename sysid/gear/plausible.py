@@ -90,8 +90,8 @@ def notice_odd_vehicle(campaign: GearCampaign) -> None:
         "odd-inertia", (gyration / size) ** 2, (_GYRATION[0] ** 2, _GYRATION[1] ** 2),
         f"sqrt(body_inertia/body_mass) = {1e3 * gyration:.0f} mm is {gyration / size:.2g} of the feet's "
         f"distance from the centre of mass ({1e3 * size:.0f} mm); vehicles have {_GYRATION[0]:g} to "
-        f"{_GYRATION[1]:g}: check body_mass ({mass:.4g} kg), body_inertia ({inertia:.4g} kg·m²) and "
-        "their units",
+        f"{_GYRATION[1]:g}: check body_mass ({mass:.4g} kg), body_inertia ({inertia:.4g} kg·m²), "
+        "foot_dx, foot_dz and their units",
     )  # fmt: skip
     _hold(
         "odd-mass", density, _DENSITY,

@@ -90,19 +90,22 @@ def print_table(table: Table, console: Console | None = None) -> None:
         for k in group:
             extra = max(0, min(spare, widest[k] - needed[k]))
             widths[k], spare = needed[k] + extra, spare - extra
-        part = _part(table, widths, first=group is groups[0], last=group is groups[-1])
+        part = _part(table, widths, first=group is groups[0], whole=len(groups) == 1)
         if spare >= 0:
             console.print(part)
         else:  # one column is too wide by itself: the terminal may break the line, but it stays whole
             whole = console.width - spare
             Console(file=console.file, width=whole, force_terminal=console.is_terminal or None).print(part)
+    # The last part of a folded table may be a narrow one.
+    if len(groups) > 1 and table.caption:
+        console.print(Text(table.caption, style="table.caption"))
 
 
-def _part(table: Table, widths: dict[int, int], *, first: bool, last: bool) -> RichTable:
+def _part(table: Table, widths: dict[int, int], *, first: bool, whole: bool) -> RichTable:
     """Return some columns of a table with their widths; brackets of units are text, not markup."""
     out = RichTable(
         title=Text(table.title) if table.title and first else None,
-        caption=Text(table.caption) if table.caption and last else None,
+        caption=Text(table.caption) if table.caption and whole else None,
         title_justify="left",
         caption_justify="left",
         header_style="bold",
