@@ -8,7 +8,6 @@ from contextlib import suppress
 from pathlib import Path
 
 from sysid import exact_json
-from sysid.campaign import read_campaign
 from sysid.errors import SysidError
 from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
@@ -91,6 +90,8 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
 
 def _given(result: FitResult, campaign: str) -> str:
     """Return the options that neither a checkpoint nor the campaign has, as they were given."""
+    from sysid.campaign import read_campaign
+
     search = result.provenance.get("search", {})
     same = {"runs": search.get("runs"), "max-evaluations": search.get("max_evaluations")}
     same |= {"surface": result.settings.get("surface")}
