@@ -205,6 +205,20 @@ class Judgement(Shown, Generic[Doc]):
         rows, what = self._rows()
         return pd.DataFrame([*rows.values()], index=pd.Index([*rows], name=what))
 
+    @property
+    def numbers(self) -> pd.DataFrame:
+        """A row per trial and number of use that is predicted: measured, predicted, 95 % of the draws."""
+        import pandas as pd
+
+        trials = getattr(self.document, "trials", ())
+        rows = [
+            {"trial": trial.name, **number.model_dump(), "held": number.held}
+            for trial in trials
+            for number in getattr(trial, "numbers", ())
+        ]
+        columns = ["trial", "what", *([*rows[0]][1:] if rows else [])]
+        return pd.DataFrame(rows, columns=[*dict.fromkeys(columns)]).set_index(["trial", "what"])
+
     def remarks(self) -> tuple[str, ...]:
         """Return sentences, then warnings."""
         return (*self.sentences, *self.warnings)

@@ -109,7 +109,7 @@ def predicted_over_noise(
     return "not known", f"prediction over noise: run {command}"
 
 
-def of_use(use: Use | None) -> list[tuple[str, str]]:
+def use_tile(use: Use | None) -> list[tuple[str, str]]:
     """Return how many numbers of use the bands hold, and how wide these are; nothing where none is known."""
     if use is None or not use.word:
         return []

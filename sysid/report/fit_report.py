@@ -36,10 +36,10 @@ from sysid.report.answer import (
     counts,
     grouped_warnings,
     next_step,
-    of_use,
     over_noise,
     parameter_table,
     predicted_over_noise,
+    use_tile,
 )
 from sysid.report.drawing import USES, percent_text
 from sysid.report.explain import conclusion, figure_rungs, moves_table, rungs_table
@@ -247,7 +247,7 @@ class FitReport:
         tiles = (
             over_noise(self.fit),
             predicted,
-            *of_use(use),
+            *use_tile(use),
             counts(self.fit.judged.values() if self.trust else None, f"sysid trust {self.folder}"),
         )
         found = [IN_A_WORD.get(self.fit.provenance.get("adequacy", {}).get("verdict"), NOT_JUDGED)]

@@ -32,7 +32,7 @@ from sysid.journal import notice
 from sysid.parameter_sets import ACCUSED, INTERVALS, PREDICTS, Flags, Judged, Pair, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_files
-from sysid.trust.use import ClassOfUse, NumberOfUse, Use, in_use
+from sysid.trust.use import ClassOfUse, NumberOfUse, Use, judged_use
 from sysid.types import BoolArray, FloatArray
 
 TRUST, CROSS_VALIDATION, EXPLAIN, VALIDATION = "trust", "cross-validation", "explain", "validation-"
@@ -530,7 +530,7 @@ def use_of(folder: Path) -> Use | None:
     if not used:
         return None
     trials = ((trial.numbers, trial.ends) for document in used for trial in document.trials)
-    return in_use(trials, drawn=all(document.use is not None and document.use.drawn for document in used))
+    return judged_use(trials, drawn=all(document.use is not None and document.use.drawn for document in used))
 
 
 def stating_intervals(sets: Sets, document: TrustDocument, use: Use | None = None) -> Sets:

@@ -135,7 +135,7 @@ def class_of_use(words: list[str]) -> ClassOfUse:
     return ClassOfUse(measured=words[0], predicted=str(drawn[np.argmax(counts)]), share=share)
 
 
-def in_use(trials: Iterable[tuple[list[NumberOfUse], ClassOfUse | None]], *, drawn: bool) -> Use:
+def judged_use(trials: Iterable[tuple[list[NumberOfUse], ClassOfUse | None]], *, drawn: bool) -> Use:
     """Return the word on the numbers and classes of trials; none where nothing was `drawn`."""
     pairs = list(trials)
     groups: dict[tuple[str, str], list[NumberOfUse]] = {}

@@ -14,7 +14,7 @@ import numpy as np
 
 from sysid.fit.trial import Trial
 from sysid.trust.documents import JudgedTrial, Leaves, Overall
-from sysid.trust.use import in_use
+from sysid.trust.use import judged_use
 from sysid.types import FloatArray
 
 # Limits of the NRMSE over its noise floor, mean over trials [1]: whole windows, up to the third touchdown.
@@ -119,5 +119,5 @@ def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float, *, drawn: bool
         nrmse_fitted=nrmse_fitted,
         ratio=float(np.mean(whole)),
         ratio_third_contact=float(np.mean(early)),
-        use=in_use(((trial.numbers, trial.ends) for trial in trials), drawn=drawn),
+        use=judged_use(((trial.numbers, trial.ends) for trial in trials), drawn=drawn),
     )

@@ -183,7 +183,7 @@ def validate_fit(
         _notice_unlike(judged, kind.words)
         stated = stated_campaign(problem.campaign.source, folder)
         draws = stored_draws(folder, result)
-        read = of_use(predicted.story, result, result.values[:1], draws)
+        read = foreseen(predicted.story, result, result.values[:1], draws)
         trials = [
             trial.model_copy(update={"numbers": numbers, "ends": ends})
             for trial, (numbers, ends) in zip(judged, read, strict=True)
@@ -209,7 +209,7 @@ def validate_fit(
     return document
 
 
-def of_use(story: Story, fit: FitResult, best: FloatArray, draws: FloatArray | None) -> list[OfUse]:
+def foreseen(story: Story, fit: FitResult, best: FloatArray, draws: FloatArray | None) -> list[OfUse]:
     """Return numbers of use and ends of every trial, as `best` (1, n) and draws (k, n) [SI] predict them."""
     draws = np.repeat(best, STORED, axis=0) if draws is None else draws
     return [
@@ -300,7 +300,7 @@ def cross_validate(
                 own = [place.get(opened.whole.row_logs.get(row.name, "")) == t for row in space.free]
                 behind[:, columns] = np.where(own, decoded[t], moved)
             story = opened.kind.story(opened.whole.only([trial.name]).exact)
-            ((numbers, ends),) = of_use(story, result, values[t : t + 1], behind)
+            ((numbers, ends),) = foreseen(story, result, values[t : t + 1], behind)
             judged[t] = trial.model_copy(update={"numbers": numbers, "ends": ends})
         document = CrossValidationDocument(
             fit=result.name,

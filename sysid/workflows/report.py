@@ -22,12 +22,12 @@ from sysid.report.fit_report import FitReport
 from sysid.report.snapshots import check_film, film_bytes
 from sysid.storage import check_file, schema_of, write_file, write_files
 from sysid.trust import documents
-from sysid.trust.use import in_use
+from sysid.trust.use import judged_use
 from sysid.workflows.draws import stored_draws
 from sysid.workflows.kinds import find_report
 from sysid.workflows.map_pages import PAGES
 from sysid.workflows.options import ReportOptions
-from sysid.workflows.predict import of_use, predict, predicted_fit
+from sysid.workflows.predict import foreseen, predict, predicted_fit
 from sysid.workflows.reopen import reopen
 
 
@@ -69,7 +69,7 @@ def reopened(report: FitReport) -> Reopened:
             }
             fresh = [trial.name for trial in trials if trial.use == "validate"]
             story = opened.kind.story(opened.whole.only(fresh).exact)
-            use = in_use(of_use(story, fit, fit.values[:1], stored), drawn=stored is not None)
+            use = judged_use(foreseen(story, fit, fit.values[:1], stored), drawn=stored is not None)
             truth, evidence = opened.truth, predicted.evidence
     except (SysidError, OSError) as error:
         return Reopened(why_not=str(error))

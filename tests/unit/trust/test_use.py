@@ -13,7 +13,7 @@ from sysid.fit.story import Read
 from sysid.parameter_sets import PREDICTS as KEY
 from sysid.report.trust_tables import use_tables
 from sysid.trust.documents import JudgedTrial, ValidationDocument
-from sysid.trust.use import NOT, PREDICTS, ROUGHLY, NumberOfUse, class_of_use, in_use, numbers_of_use
+from sysid.trust.use import NOT, PREDICTS, ROUGHLY, NumberOfUse, class_of_use, judged_use, numbers_of_use
 from sysid.workflows.landing_sources import open_fleets
 from sysid.workflows.options import MotorOptions
 
@@ -37,19 +37,19 @@ def test_a_band_is_of_the_draws_and_open_where_they_lack_the_number():
 @pytest.mark.parametrize(("held", "word"), [(18, PREDICTS), (17, ROUGHLY), (15, ROUGHLY), (14, NOT)])
 def test_the_word_is_the_share_of_the_numbers_that_the_bands_hold(held, word):
     numbers = [number(0.5 if i < held else 2.0) for i in range(20)]
-    found = in_use([(numbers[:7], None), (numbers[7:], None)], drawn=True)
+    found = judged_use([(numbers[:7], None), (numbers[7:], None)], drawn=True)
     assert (found.word, found.held, found.count) == (word, held, 20)
     assert found.sentence.startswith(f"{word}: 95 % bands of draws hold {held} of 20 numbers of use")
     # Without draws, and of few numbers, there is no word.
-    assert not in_use([(numbers, None)], drawn=False).word
-    assert not in_use([(numbers[:4], None)], drawn=True).word
+    assert not judged_use([(numbers, None)], drawn=False).word
+    assert not judged_use([(numbers[:4], None)], drawn=True).word
 
 
 def test_a_class_counts_as_right_where_most_draws_have_it():
     rests = class_of_use(["at rest", "flipped", *["at rest"] * 6, *["flipped"] * 4])
     flips = class_of_use(["flipped", "flipped", *["at rest"] * 6, *["flipped"] * 4])
     assert (rests.predicted, rests.share, flips.predicted, flips.share) == ("at rest", 0.6, "at rest", 0.4)
-    found = in_use([([number(0.0)], rests), ([number(0.0, "touchdown, first")], flips)], drawn=True)
+    found = judged_use([([number(0.0)], rests), ([number(0.0, "touchdown, first")], flips)], drawn=True)
     assert (found.classes_right, found.classes, found.held, found.count) == (1, 2, 3, 4)
     assert [width.what for width in found.widths] == ["rest place", "touchdown"]
 
@@ -61,7 +61,7 @@ def test_the_tables_say_each_number_and_the_total():
     trial = JudgedTrial(
         name="drop-7", nrmse=[0.1], by_channel={}, **scores, **early, numbers=numbers, ends=ends
     )
-    use = in_use([(numbers, ends)], drawn=True)
+    use = judged_use([(numbers, ends)], drawn=True)
     single, total = use_tables(ValidationDocument.model_construct(trials=[trial], use=use))
     text = [[cell.text for cell in row] for row in single.rows]
     assert text[0] == ["drop-7", "rest place", "cm", "0.5", "0", "-1 to 1"]

@@ -26,7 +26,7 @@ from sysid.cli.adapter import command
 from sysid.fit.store import write_fit
 from sysid.motor.bench_logs import campaign_range, read_log
 from sysid.trust.documents import Judgement
-from sysid.trust.use import NOT, in_use
+from sysid.trust.use import NOT, judged_use
 
 
 def edit(path, old, new, count=1):
@@ -128,7 +128,7 @@ def test_new_campaign_writes_a_template(tmp_path, run, refused):
 
 @pytest.mark.parametrize("verb", ["validate", "cross-validate"])
 def test_a_flagged_prediction_ends_with_code_3(verb, monkeypatch, tmp_path, run):
-    no_word = in_use([], drawn=True)
+    no_word = judged_use([], drawn=True)
     useless = no_word.model_copy(update={"word": NOT})
     for flagged, use in ((True, None), (False, useless), (False, None), (False, no_word)):
         for name in ("validate_fit", "cross_validate"):
