@@ -107,8 +107,9 @@ def climbs(imports: dict[str, list[tuple[str, int, bool]]]) -> list[str]:
     return out
 
 
-# Loads pymoo or cma only for the algorithm that a fit asks for: half a second of every start.
-LAZY = ("sysid.fit.breeders.algorithms",)
+# Loads pymoo or cma only for the algorithm that a fit asks for: half a second of every start. So does `show`
+# with the campaign of a fit that was cut short.
+LAZY = ("sysid.fit.breeders.algorithms", "sysid.workflows.show")
 
 
 def local_imports(imports: dict[str, list[tuple[str, int, bool]]]) -> list[str]:

@@ -64,7 +64,7 @@ def test_time_limit_then_resume_gives_the_uninterrupted_numbers(campaign, run, r
     refused("unfinished fit is there; continue it with --resume, or discard it with --force", *fit)
     shown = run("fit-gear", campaign, *SMALL[:-1], "--out", "shown", "--time-limit", "0.001 s")[1]
     assert "verdict (with 0 of 2 runs finished): " in shown
-    again = re.search(r"next:\n  sysid fit-gear (\S+) --out shown --resume --runs 2 --surface lf ", shown)
+    again = re.search(r"next:\n  sysid fit-gear (\S+) --out shown --resume --runs 2 ", shown)
     assert Path(again[1]).resolve() == Path(campaign).resolve()
     refused("the option seed differs (now 9, then 1)", *fit, "--resume", "--seed", "9")
     code, _, err = run(*fit, "--resume")
