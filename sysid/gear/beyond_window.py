@@ -29,7 +29,7 @@ _REST = Ending()
 _SMOOTH = 0.11
 # Longest time after the touchdown that is looked at [s].
 _LONGEST = 5.0
-_AT_REST = "at rest"
+_AT_REST, _FAILED = "at rest", "simulation failed"
 # Time that simulations go on beyond a log [s].
 _BEYOND = 1.0
 # Least number of samples of a flight phase that shows the centre of mass.
@@ -79,6 +79,9 @@ def read_drop(
     tracks[flown.status[:, 0] != 0] = np.nan
     measured = bridge_gaps(motion.coordinates(), motion.valid)[None, chosen]
     seen = _read(drop, clock, measured, clock[-1], board_length)
+    if seen.ends == [_FAILED]:
+        # The capture lost the body before its log ends, so nothing is known of where it went.
+        return ReadTrial([])
     # What rests no earlier than a measurement would show is no other end.
     late = 0.0 if seen.ends == [_AT_REST] else _REST.rest_time
     parts = [seen, _read(drop, longer, tracks, clock[-1], board_length, late)]
@@ -87,7 +90,10 @@ def read_drop(
         for one, other in zip(parts[0].numbers, parts[1].numbers, strict=True)
     ]
     # The first touchdown is where the simulations begin.
-    known = min((each for each in numbers if "first" in each.what), key=lambda each: each.values[0])
+    known = min(
+        (each for each in numbers if "first" in each.what),
+        key=lambda each: np.nan_to_num(each.values[0], nan=np.inf),
+    )
     ends = [end for part in parts for end in part.ends or ()]
     return ReadTrial([each for each in numbers if each is not known], ends)
 
@@ -105,18 +111,19 @@ def _read(
     A body that rests from `late` before the end of the log on counts as moving [s].
     """
     since, last = clock - drop.touchdown, len(clock) - 1
+    lost = np.asarray(~np.isfinite(tracks).all(axis=(1, 2)))
+    tracks = np.where(lost[:, None, None], 0.0, tracks)
     touch = float(drop.flight.at(np.array([drop.touchdown]))[0, :2] @ drop.feet.tangent)
-    width = min(2 * int(_SMOOTH * drop.motion.rate / 2) + 1, last + last % 2)
+    width = min(2 * int(_SMOOTH * drop.motion.rate / 2) + 1, last + 1 - last % 2)
     smooth, rates = (
         signal.savgol_filter(tracks, width, 2, deriv=order, delta=1 / drop.motion.rate, axis=1)
         for order in (0, 1)
     )
     along = smooth[:, :, :2] @ drop.feet.tangent - touch
-    with np.errstate(invalid="ignore"):
-        still = np.hypot(rates[:, :, 0], rates[:, :, 1]) < _REST.rest_speed
-        still &= (np.abs(rates[:, :, 2]) < _REST.rest_turn) & (since > 0)
-        gone = along > (np.inf if board_length is None else board_length)
-        leans = np.abs(tracks[:, :, 2] - drop.slope) > _REST.flip_angle
+    still = np.hypot(rates[:, :, 0], rates[:, :, 1]) < _REST.rest_speed
+    still &= (np.abs(rates[:, :, 2]) < _REST.rest_turn) & (since > 0)
+    gone = along > (np.inf if board_length is None else board_length)
+    leans = np.abs(tracks[:, :, 2] - drop.slope) > _REST.flip_angle
     # The first sample after which a body stays slow for the time of rest.
     lasting = max(1, round(_REST.rest_time * drop.motion.rate))
     slow = np.cumsum(np.pad(still, ((0, 0), (1, 0))), axis=1, dtype=np.int64)
@@ -142,14 +149,14 @@ def _read(
             numbers.append(
                 Read(f"touchdown, {nth} of the {name}", "ms", 1000 * _crossing(since, height, landed))
             )
-    lost = ~np.isfinite(tracks).all(axis=(1, 2))
+    numbers = [Read(what, unit, np.where(lost, np.nan, values)) for what, unit, values in numbers]
     cases = [
         lost,
         (leans & within).any(axis=1),
         (gone & within).any(axis=1),
         rests & (clock[at] <= log_end - late),
     ]
-    words = ["simulation failed", "flipped", "left the board", _AT_REST]
+    words = [_FAILED, "flipped", "left the board", _AT_REST]
     return ReadTrial(numbers, np.select(cases, words, "still moving").tolist())
 
 
