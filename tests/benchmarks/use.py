@@ -87,7 +87,8 @@ def main():
             what = ""
             if arguments.case == "right":
                 lab = MOTOR_LAB if arguments.law == "motor" else GOOD_LAB
-                path = misstated(path, seed, name="stated.toml", errors=lab)
+                # The twin states the same, so that both are seen in one frame.
+                path, twin = (misstated(one, seed, name="stated.toml", errors=lab) for one in (path, twin))
             if arguments.case == "wrong":
                 what = WRONG[seed % len(WRONG)]
                 path = misstated(
