@@ -250,7 +250,7 @@ INTERVALS = "intervals"
 NOT_ASSESSED = "not_assessed"
 # Key of the settings: sentences on the stated values or the trial that a fit accuses.
 ACCUSED = "accused"
-# Key of the settings: the sentence of `sysid.trust.use.Use` on what a fit predicts, the word first.
+# Key of the settings: word and sentence of `sysid.trust.use.Use` on what a fit predicts.
 PREDICTS = "predicts"
 # Key of the settings: what the trials show without the model, in words; it counts where the model does not.
 KNOWN_ANYHOW = "known_anyhow"

@@ -82,7 +82,7 @@ def read_drop(
     if seen.ends == [_FAILED]:
         # The capture lost the body before its log ends, so nothing is known of where it went.
         return ReadTrial([])
-    # What rests no earlier than a measurement would show is no other end.
+    # A simulation that rests too late for the log to show it ends as the measurement does: moving.
     late = 0.0 if seen.ends == [_AT_REST] else _REST.rest_time
     parts = [seen, _read(drop, longer, tracks, clock[-1], board_length, late)]
     numbers = [

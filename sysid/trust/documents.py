@@ -548,7 +548,7 @@ def stating_intervals(sets: Sets, document: TrustDocument, use: Use | None = Non
         sets,
         settings=settings
         | ({ACCUSED: accused} if accused else {})
-        | ({PREDICTS: use.sentence} if use is not None and use.word else {}),
+        | ({PREDICTS: {"word": use.word, "sentence": use.sentence}} if use is not None and use.word else {}),
         warnings=tuple(warning for warning in warnings if warning not in settled),
     )
 

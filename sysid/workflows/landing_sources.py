@@ -74,11 +74,11 @@ def paired_fleets(
     a fit that does not predict, unless they are taken `anyway`.
     """
     for name, sets in zip(names, (*gears, motor), strict=True):
-        says = str(sets.settings.get(PREDICTS, ""))
-        if says.startswith(NOT) and not anyway:
+        says = sets.settings.get(PREDICTS, {})
+        if says.get("word") == NOT and not anyway:
             raise ExportError(
-                f"{name}: {says}; a map of these sets would mislead; see the validation in the report and "
-                "mend the fit, or add --anyway (in Python anyway=True)"
+                f"{name}: {says['sentence']}; a map of these sets would mislead; see the validation in the "
+                "report and mend the fit, or add --anyway (in Python anyway=True)"
             )
     fleets = tuple(drones(gear, motor, pair) for gear in gears)
     surfaces = [fleet[0].surface for fleet in fleets]

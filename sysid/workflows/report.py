@@ -68,8 +68,10 @@ def reopened(report: FitReport) -> Reopened:
                 if trial.use == "validate"
             }
             fresh = [trial.name for trial in trials if trial.use == "validate"]
-            story = opened.kind.story(opened.whole.only(fresh).exact)
-            use = judged_use(foreseen(story, fit, fit.values[:1], stored), drawn=stored is not None)
+            use = None
+            if fresh:
+                story = opened.kind.story(opened.whole.only(fresh).exact)
+                use = judged_use(foreseen(story, fit, fit.values[:1], stored), drawn=stored is not None)
             truth, evidence = opened.truth, predicted.evidence
     except (SysidError, OSError) as error:
         return Reopened(why_not=str(error))

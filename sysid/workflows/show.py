@@ -34,7 +34,7 @@ def print_sets(source: str | Path, json: bool) -> None:
         print_lines([judged["sentence"]], "" if judged["verdict"] == EXPLAINED_BY else "bold yellow")
     print_lines(sets.settings.get(ACCUSED, ()), "bold yellow")
     if says := sets.settings.get(PREDICTS):
-        print_lines([str(says)], "bold yellow" if str(says).startswith(NOT) else "")
+        print_lines([says["sentence"]], "bold yellow" if says["word"] == NOT else "")
     _print_tables(sets)
     path = Path(source)
     folder = fit_folder(path) if path.is_dir() or path.name == "fit.h5" else None

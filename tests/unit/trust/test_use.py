@@ -73,10 +73,10 @@ def test_the_tables_say_each_number_and_the_total():
 def test_a_map_refuses_sets_that_do_not_predict(tmp_path):
     """Also as a file: the word travels with the sets."""
     sets = table_2("lf")
-    says = f"{NOT}: 95 % bands of draws hold 3 of 20 numbers of use"
+    says = {"word": NOT, "sentence": f"{NOT}: 95 % bands of draws hold 3 of 20 numbers of use"}
     bad, good = tmp_path / "bad.json", tmp_path / "good.json"
     export(replace(sets, settings={**sets.settings, KEY: says}), bad)
-    export(replace(sets, settings={**sets.settings, KEY: says.replace(NOT, ROUGHLY)}), good)
+    export(replace(sets, settings={**sets.settings, KEY: says | {"word": ROUGHLY}}), good)
     with pytest.raises(ExportError, match=r"bad\.json: does not predict: .* 3 of 20 .* add --anyway"):
         open_fleets(MotorOptions(motor=MOTOR), [bad])
     open_fleets(MotorOptions(motor=MOTOR), [good])
