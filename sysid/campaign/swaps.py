@@ -1,4 +1,4 @@
-"""Exchanges of two entries of a campaign, and lost signs."""
+"""Exchanges of two entries of a campaign, lost signs, and numbers that are off."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Swap:
 
     # Words for the campaign without the mistake, after "with": ``foot_dx and foot_dz exchanged``.
     title: str
-    # Entries to exchange, and numbers that take the other sign.
+    # Entries to exchange, and numbers with what is added to them.
     exchanged: tuple[tuple[Place, Place], ...] = ()
-    negated: tuple[Place, ...] = ()
+    moved: tuple[tuple[Place, float], ...] = ()
 
     def undone(self, campaign: Any) -> Any:
         """Return a campaign without the mistake."""
@@ -27,8 +27,8 @@ class Swap:
         for one, other in self.exchanged:
             out = _with(out, one, _at(campaign, other))
             out = _with(out, other, _at(campaign, one))
-        for place in self.negated:
-            out = _with(out, place, -_at(campaign, place))
+        for place, way in self.moved:
+            out = _with(out, place, _at(campaign, place) + way)
         return out
 
 

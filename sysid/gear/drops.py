@@ -155,20 +155,21 @@ def _notice_swap(
     def error(stated: GearCampaign, k: int) -> float:
         with suppress(SysidError), Journal():
             trial = stated.trials[k]
-            return abs(_Preparation(stated, trial, read(trial), rest).drop().surface_error)
+            return _Preparation(stated, trial, read(trial), rest).drop().surface_error
         return np.inf
 
     places, found = range(len(campaign.trials)), []
-    before = np.array([error(campaign, k) for k in places])
+    too_high = np.array([error(campaign, k) for k in places])
+    before, seen = np.abs(too_high), np.isfinite(too_high)
     wrong = before > _IN_PLACE
-    for swap in swaps(campaign):
+    for swap in swaps(campaign, float(np.median(too_high[seen])) if seen.any() else 0.0):
         other, after = swap.undone(campaign), before.copy()
         changed = [k for k in places if other.trials[k] != campaign.trials[k]]
         # A single drop does not speak against what all have in common.
         if np.count_nonzero(wrong) < 2 and not changed:
             continue
         if not np.delete(wrong, changed).any() or not changed:
-            after[changed or places] = [error(other, k) for k in changed or places]
+            after[changed or places] = [abs(error(other, k)) for k in changed or places]
             found.append((float(after.max()), swap.title))
     found = [(error, title) for error, title in sorted(found) if error < _IN_PLACE]
     near = [title for error, title in found if error < found[0][0] + _AS_NEAR]

@@ -1,4 +1,4 @@
-"""Likely mistakes in writing down a campaign of drops: exchanged entries, a lost sign."""
+"""Likely mistakes in writing down a campaign of drops: exchanged entries, a lost sign, a wrong height."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _OF_LOG = ("log", "log_options", "rigid_body", "release", "touchdown")
 _LEAST = 1e-3
 
 
-def swaps(campaign: GearCampaign) -> Iterator[Swap]:
-    """Yield the mistakes that a campaign may contain."""
+def swaps(campaign: GearCampaign, height: float) -> Iterator[Swap]:
+    """Yield the mistakes that a campaign may contain; `height` [m] is what its surface seems to lie too high."""
     for k, m in combinations(range(len(campaign.trials)), 2):
         one, other = campaign.trials[k], campaign.trials[m]
         names = f"of {one.name} and {other.name} exchanged"
@@ -35,11 +35,19 @@ def swaps(campaign: GearCampaign) -> Iterator[Swap]:
     along, _, up = (int(np.argmax(np.abs(axis))) for axis in frame.matrix)
     offset: Place = ("capture", "centre_of_mass_offset")
     for k in (along, up):
-        if abs(campaign.capture.centre_of_mass_offset[k]) > _LEAST:
-            yield Swap(f"the other sign of centre_of_mass_offset[{k}]", negated=((*offset, k),))
+        value = campaign.capture.centre_of_mass_offset[k]
+        if abs(value) > _LEAST:
+            yield Swap(f"the other sign of centre_of_mass_offset[{k}]", moved=(((*offset, k), -2 * value),))
     points = [offset] if any(campaign.capture.centre_of_mass_offset) else []
     points += [("surface", "point")] if campaign.surface.point is not None else []
     for point in points:
         for k, m in combinations(range(3), 2):
             title = f"the components {k} and {m} of {point[-1]} exchanged"
             yield Swap(title, (((*point, k), (*point, m)),))
+    if abs(height) > _LEAST:
+        less, lower, higher = ("less", "lower", "higher") if height > 0 else ("more", "higher", "lower")
+        yield Swap(
+            f"foot_dz about {abs(1000 * height):.0f} mm {less}, or the surface as much {lower}, or the "
+            f"centre of mass as much {higher}",
+            moved=((("vehicle", "foot_dz"), -height),),
+        )

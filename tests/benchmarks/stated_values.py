@@ -100,6 +100,8 @@ def main():
                 random = np.random.default_rng(seed)
                 key = str(random.choice(gross_keys(arguments.law)))
                 gross = {key: float(random.uniform(5, 15) * random.choice([-1, 1]))}
+                if key == "leg_inertia":  # ten errors of 10 % less are no inertia
+                    gross[key] = abs(gross[key])
                 if key in CURVES:
                     log, column, size = CURVES[key]
                     scaled(source / log, column, 1 + size * gross[key])

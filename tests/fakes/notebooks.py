@@ -25,7 +25,7 @@ ORDER = {
     "01-first-fit": None, "02-your-own-drops": None, "03-your-own-motor": None, "04-python": None,
     "05-landing-maps": None, "06-which-digits-to-believe": "01-first-fit",
     "07-numbers-for-simulators": "03-your-own-motor", "08-a-model-of-your-own": None, "the-model": None,
-    "fit-report-gear": "01-first-fit", "fit-report-motor": "03-your-own-motor",
+    "fit-report-gear": "06-which-digits-to-believe", "fit-report-motor": "03-your-own-motor",
 }  # fmt: skip
 # A notebook takes no longer [s]; the limit of a cell leaves room for a busy machine.
 _LIMIT = 60

@@ -33,6 +33,7 @@ def heard(tmp_path, *changes):
         ([('foot_dx = "105 mm"', 'foot_dx = "151 mm"'), ('foot_dz = "151 mm"', 'foot_dz = "105 mm"')],
          "foot_dx and foot_dz exchanged"),
         ([('"-22 mm"', '"22 mm"')], "the other sign of centre_of_mass_offset[1]"),
+        ([('foot_dz = "151 mm"', 'foot_dz = "167 mm"')], "foot_dz about 1"),
     ],
 )  # fmt: skip
 def test_an_exchange_is_named(tmp_path, changes, named):
