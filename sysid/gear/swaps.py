@@ -18,7 +18,7 @@ _LEAST = 1e-3
 
 
 def swaps(campaign: GearCampaign, height: float) -> Iterator[Swap]:
-    """Yield the mistakes that a campaign may contain; `height` [m] is what its surface seems to lie too high."""
+    """Yield the mistakes that a campaign may contain; its surface seems to lie too high by `height` [m]."""
     for k, m in combinations(range(len(campaign.trials)), 2):
         one, other = campaign.trials[k], campaign.trials[m]
         names = f"of {one.name} and {other.name} exchanged"
