@@ -14,8 +14,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import gear_rivals
+from fakes.published import table_1, table_2
 from paired import flags, mean_nrmse, measured
-from sysid.export.published import table_1, table_2
 from sysid.gear.model import PARAMETERS, Drops, Ending, prepare, simulate, simulate_population
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import Drone, Motors, drones

@@ -1,7 +1,7 @@
 """The published drone, its files, and the values of its gear."""
 
 from fakes.places import PUBLISHED
-from sysid.export.published import table_1, table_2
+from fakes.published import table_1, table_2
 from sysid.gear.model import PARAMETERS, pack
 from sysid.landing.drone import drones
 

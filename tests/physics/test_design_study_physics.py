@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sysid.export.published import table_1, table_2
+from fakes.published import table_1, table_2
 from sysid.landing.controllers import find_controller
 from sysid.landing.design_study import design_study, find_changes
 from sysid.landing.drone import drones

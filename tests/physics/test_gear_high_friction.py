@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fakes.gear_drops import SIX, legs, level_start, nrmse, touchdowns
-from sysid.export.published import table_2
+from fakes.published import table_2
 from sysid.filters import runs
 from sysid.gear import model
 from sysid.gear.model import SURFACES, TIGHT_TOLERANCE, simulate

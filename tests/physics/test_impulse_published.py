@@ -21,7 +21,7 @@ not print, may well differ there; a push that drives the drone off the slope, as
 import numpy as np
 import pytest
 
-from sysid.export.published import table_1, table_2
+from fakes.published import table_1, table_2
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import drones
 from sysid.landing.impulse_maps import impulse_maps

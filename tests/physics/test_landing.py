@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import brentq
 
 from fakes.landings import published
+from fakes.published import table_1
 from sysid.errors import CampaignError
-from sysid.export.published import table_1
 from sysid.gear.model import Ending, EventKind, simulate
 from sysid.landing.approach import fly_down
 from sysid.landing.controllers import Controller, Sensing, Step, find_controller

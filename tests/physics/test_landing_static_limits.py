@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import brentq
 
 from fakes.landings import values
+from fakes.published import table_2
 from fakes.standing import tips_under_thrust, tips_without_thrust
 from sysid.errors import CampaignError
-from sysid.export.published import table_2
 from sysid.landing.static_limits import (
     StaticLimit,
     rigid_limits,

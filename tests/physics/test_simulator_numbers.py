@@ -11,10 +11,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import sysid
+from fakes.published import table_1, table_2
 from sysid.errors import ExportError
 from sysid.export import export
 from sysid.export.numbers import TARGETS, numbers_for
-from sysid.export.published import table_1, table_2
 from sysid.fit.adequacy import NOT_BY
 from sysid.motor.model import PARAMETERS, aerodynamic_torque, simulate, steady_state, thrust
 from sysid.motor.nearest_lag import STEPS, FirstOrderRotor

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fakes.places import PUBLISHED
-from sysid.export.published import table_1, table_2, write_published
+from fakes.published import table_1, table_2, write_published
 from sysid.report.set_tables import mean_table
 
 NAMES = ["published-gear-hf.json", "published-gear-lf.json", "published-motor.json"]
@@ -31,7 +31,7 @@ def test_files_are_current(tmp_path):
     assert sorted(p.name for p in PUBLISHED.glob("*.json")) == NAMES
     for name in NAMES:
         same = (PUBLISHED / name).read_bytes() == (tmp_path / name).read_bytes()
-        assert same, f"{name} is not current: run python -m sysid.export.published"
+        assert same, f"{name} is not current: run python tests/fakes/published.py"
 
 
 def test_table_two_as_printed():

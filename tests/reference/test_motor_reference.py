@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from sysid.export.published import table_1
+from fakes.published import table_1
 from sysid.motor import batch, model
 from sysid.motor import simpler as lag
 from sysid.motor.batch import SimulatedTrial, SimulatedTrials, simulate_population

@@ -8,8 +8,8 @@ import pytest
 
 from fakes.landings import HF, MOTOR
 from fakes.printed import printed
+from fakes.published import table_1, table_2
 from sysid.errors import CampaignError, ExportError
-from sysid.export.published import table_1, table_2
 from sysid.landing.design_study import Change, DesignStudy, designs, find_changes, fleets_of, shares_of
 from sysid.landing.drone import drones
 from sysid.landing.maps import LandingWork

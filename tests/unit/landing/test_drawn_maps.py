@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fakes.landings import LF, MOTOR
+from fakes.published import table_2
 from sysid import landing_map, load_parameter_sets
 from sysid.errors import ExportError
-from sysid.export.published import table_2
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import Motors, drones
 from sysid.landing.maps import LandingMap

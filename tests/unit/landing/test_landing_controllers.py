@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fakes.landings import published
+from fakes.published import table_1, table_2
 from sysid.errors import CampaignError, ExportError
-from sysid.export.published import table_1, table_2
 from sysid.landing.controllers import (
     STANDARD_GRAVITY,
     Controller,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fakes.hostile import VISIBLE
+from fakes.published import table_1, table_2
 from sysid.export import export
-from sysid.export.published import table_1, table_2
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.report.cell_explorer import CellAxis, CellChart, explorer
 

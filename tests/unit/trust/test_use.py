@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fakes.landings import MOTOR
+from fakes.published import table_2
 from sysid.errors import ExportError
 from sysid.export import export
-from sysid.export.published import table_2
 from sysid.fit.story import Read
 from sysid.parameter_sets import PREDICTS as KEY
 from sysid.report.trust_tables import use_tables

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fakes.published import table_1, table_2
 from fakes.simulators import from_mjcf, from_sdf
 from sysid.errors import ExportError
 from sysid.export import export
-from sysid.export.published import table_1, table_2
 from sysid.motor.model import PARAMETERS, aerodynamic_torque, simulate, steady_state, thrust
 from sysid.motor.nearest_lag import FirstOrderRotor
 from sysid.workflows.export_models import export_sets

@@ -1,6 +1,6 @@
 """The paper's Tables I and II as ready parameter sets.
 
-``python -m sysid.export.published FOLDER`` writes them as JSON; the result is `data_samples/published/`.
+``python tests/fakes/published.py FOLDER`` writes them as JSON; the result is `data_samples/published/`.
 Each file has one set: the printed mean, with the printed σ as the parameter's `stated_sigma`. Bounds, seeds
 and the single sets of the five runs are not printed, so they are absent here. What the paper does not print
 but a simulator needs says so in its `source`.
