@@ -1,12 +1,14 @@
 """Campaigns whose values are drawn from the errors that they state: what fits find, and whom they accuse.
 
     python tests/benchmarks/stated_values.py good --seeds 1-20 [--law hf] [--exact] [--times 3]
-    python tests/benchmarks/stated_values.py gross --seeds 101-140 [--law hf | motor]
+    python tests/benchmarks/stated_values.py gross --seeds 101-140 [--law hf | motor] [--keys 2]
+    python tests/benchmarks/stated_values.py foreign --seeds 101-120
 
-Every campaign is of another drone or motor. `good` draws every value from its error; `gross` moves one key by
-5 to 15 standard errors on top of that. Printed for each campaign: verdict, errors of k_h, k_t, dx_j or of R,
-L, intervals that contain the truth, accused values, processor time; then the counts. Of a motor, torque and
-speed never show an error of Kv, so no gross one is of Kv.
+Every campaign is of another drone or motor. `good` draws every value from its error; `gross` moves one key,
+or two, by 5 to 15 standard errors on top of that; `foreign` drops have a physical term that the model lacks.
+Printed for each campaign: verdict, errors of k_h, k_t, dx_j or of R, L, intervals that contain the truth,
+accused values, processor time; then the counts. Of a motor, torque and speed never show an error of Kv, so no
+gross one is of Kv.
 """
 
 import argparse
@@ -18,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fakes.foreign_gear import drawn_terms, simulator
 from fakes.lab import GOOD_LAB, MOTOR_LAB, misstated, scaled
 from sysid.errors import LogError
 from sysid.gear.model import parameters_on
@@ -54,8 +57,8 @@ ROWS = {
 }  # fmt: skip
 
 
-def synthesized(folder, law, seed):
-    """Write the campaign of another drone, or motor; return its folder."""
+def synthesized(folder, law, seed, foreign):
+    """Write the campaign of another drone, with a `foreign` term, or motor; return its folder."""
     random, motor = np.random.default_rng(seed), law == "motor"
     nominal, names = (TRUE_MOTOR, DRAWN_MOTOR) if motor else (parameters_on(law).nominal, DRAWN)
     true = {name: nominal[name] * (1 + 0.15 * random.uniform(-1, 1)) for name in names}
@@ -63,7 +66,8 @@ def synthesized(folder, law, seed):
         return synthesize_motor(
             folder, seed=seed, parameters=true | {"torque_constant": true["back_emf_constant"]}
         )
-    return synthesize_gear(folder, seed=seed, surface=law, parameters=true)
+    more = {"simulate": simulator(**drawn_terms(seed, 1))} if foreign else {}
+    return synthesize_gear(folder, seed=seed, surface=law, parameters=true, **more)
 
 
 def gross_keys(law):
@@ -78,10 +82,11 @@ def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("case", choices=["good", "gross"])
+    parser.add_argument("case", choices=["good", "gross", "foreign"])
     parser.add_argument("--seeds", default="1-3")
     parser.add_argument("--law", default="lf", choices=["lf", "hf", "motor"])
     parser.add_argument("--times", type=float, default=1.0, help="the lab's errors over what it states")
+    parser.add_argument("--keys", type=int, default=1, help="how many are off by far")
     parser.add_argument("--exact", action="store_true")
     parser.add_argument("--runs", type=int, default=1)
     arguments = parser.parse_args()
@@ -90,35 +95,36 @@ def main():
     fit, errors_of = (fit_motor, MOTOR_LAB) if motor else (fit_gear, GOOD_LAB)
     judged = SHOWN_MOTOR if motor else SHOWN
     errors, held = [], []
-    count = refused = explained = accused = named = asked_in = with_truth = 0
+    count = refused = explained = accused = named = all_named = asked_in = with_truth = 0
     for seed in range(first, last + 1):
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            source = synthesized(Path(folder) / "logs", arguments.law, seed)
-            gross, key = {}, ""
+            source = synthesized(Path(folder) / "logs", arguments.law, seed, arguments.case == "foreign")
+            gross = {}
             if arguments.case == "gross":
                 random = np.random.default_rng(seed)
-                key = str(random.choice(gross_keys(arguments.law)))
-                gross = {key: float(random.uniform(5, 15) * random.choice([-1, 1]))}
-                if key == "leg_inertia":  # ten errors of 10 % less are no inertia
-                    gross[key] = abs(gross[key])
-                if key in CURVES:
+                keys = map(str, random.choice(gross_keys(arguments.law), arguments.keys, replace=False))
+                gross = {key: float(random.uniform(5, 15) * random.choice([-1, 1])) for key in keys}
+                if "leg_inertia" in gross:  # ten errors of 10 % less are no inertia
+                    gross["leg_inertia"] = abs(gross["leg_inertia"])
+                for key in gross.keys() & CURVES.keys():
                     log, column, size = CURVES[key]
                     scaled(source / log, column, 1 + size * gross[key])
             path = misstated(
                 source / "campaign.toml", seed, name="misstated.toml", errors=errors_of,
-                gross={} if key in CURVES else gross, times=arguments.times,
+                gross={key: size for key, size in gross.items() if key not in CURVES}, times=arguments.times,
             )  # fmt: skip
             began = time.process_time()
             options = FitOptions(
                 out=Path(folder) / "fit", runs=arguments.runs, quiet=True, check=False, exact=arguments.exact
             )
+            moved = ", ".join(f"{key} by {size:+.1f}" for key, size in gross.items())
             try:
                 result, where = fit(path, options)
             except LogError as error:
                 # A value that is off so far that no drop can be read is an answer as well.
                 refused += 1
-                print(f"{seed:4d} refused: {key} by {gross.get(key, 0.0):+.1f}: {error}", flush=True)
+                print(f"{seed:4d} refused: {moved}: {error}", flush=True)
                 continue
             spent = time.process_time() - began
             trust = TrustDocument.parse((where / "trust.json").read_text("utf-8"), where, ValueError)
@@ -132,22 +138,24 @@ def main():
         explained += trust.adequacy.verdict == "explained"
         accused += bool(wrong)
         text = ", ".join(f"{row.name} ({', '.join(row.partners)})" for row in wrong)
-        if gross:
+        seen = []
+        for key in gross:
             row_name = ROWS.get(key, key)
             # The rows of a curve are at its top and in its middle.
             own = [
                 row for row in trust.stated if {row.name, re.sub("_(top|middle)", "", row.name)} & {row_name}
             ]
-            named += any({row.name for row in own} & {row.name, *row.partners} for row in wrong)
+            seen.append(any({row.name for row in own} & {row.name, *row.partners} for row in wrong))
             truth = {**true, "slope[drop-3]": np.radians(15)}.get(row_name, np.nan)
             asked_in += abs(own[0].asked - truth) < 1.96 * own[0].sigma
             with_truth += bool(np.isfinite(truth))
-            text = f"{key} by {gross[key]:+.1f}: {text or 'nobody'}"
+        named += any(seen)
+        all_named += bool(seen) and all(seen)
         shown = " ".join(f"{100 * value:+6.1f}" for value in errors[-1])
         print(
             f"{seed:4d} {trust.adequacy.verdict:17s} {trust.adequacy.ratio:5.2f} x  "
             f"{' '.join(judged)} {shown} %  "
-            f"{sum(holds)}/{len(holds)}  {spent:5.1f} s  {text}",
+            f"{sum(holds)}/{len(holds)}  {spent:5.1f} s  {moved and moved + ': '}{text or 'nobody'}",
             flush=True,
         )
     middle = zip(judged, 100 * np.median(np.abs(errors), axis=0), strict=True)
@@ -158,7 +166,10 @@ def main():
     if refused:
         print(f"{refused} refused before a fit")
     if arguments.case == "gross":
-        print(f"the right value named in {named}, its truth in {asked_in} of {with_truth} intervals")
+        print(
+            f"a wrong value named in {named}, all in {all_named}; the truth in {asked_in} of {with_truth} "
+            "intervals"
+        )
     else:
         print(f"{accused} campaigns with an accused value")
 
