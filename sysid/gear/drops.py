@@ -39,9 +39,9 @@ from sysid.types import FloatArray
 _YIELDING = 0.01
 # Times before and after the touchdown beyond which the end of free fall points to a wrong surface plane [s].
 _EARLY_LATE = (-0.006, 0.035)
-# Largest distance [m] of the surface from where free fall ends in a right campaign, and the difference [m] of
-# two such distances that tells nothing.
-_IN_PLACE, _AS_NEAR = 0.012, 0.002
+# Distance [m] of the surface from where free fall ends from which on a drop is doubted, the largest one that
+# leaves no doubt of another campaign, and the difference of two such distances that tells nothing.
+_OUT_OF_PLACE, _IN_PLACE, _AS_NEAR = 0.008, 0.012, 0.002
 # Shortest fall that tells about g [s]: five samples determine it to some 10 %.
 _TELLS_GRAVITY = 0.06
 # Largest relative error of the measured g without a doubt [1].
@@ -161,7 +161,7 @@ def _notice_swap(
     places, found = range(len(campaign.trials)), []
     too_high = np.array([error(campaign, k) for k in places])
     before, seen = np.abs(too_high), np.isfinite(too_high)
-    wrong = before > _IN_PLACE
+    wrong = before > _OUT_OF_PLACE
     for swap in swaps(campaign, float(np.median(too_high[seen])) if seen.any() else 0.0):
         other, after = swap.undone(campaign), before.copy()
         changed = [k for k in places if other.trials[k] != campaign.trials[k]]

@@ -12,7 +12,17 @@ from sysid.report.table import Table, TableColumn, listed, numbers, table, words
 
 
 def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return static limits, one row per set and thrust, as `workflows.static_limits` writes them."""
+    """Return static limits, as `workflows.static_limits` writes them; sets that read alike share a row."""
+    alike: dict[tuple[object, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        read = (f"{v:.1f}" if key.endswith("deg") else v for key, v in row.items() if key != "set")
+        alike.setdefault(tuple(read), []).append(row)
+    count = len({row["set"] for row in rows})
+
+    def sets(same: Sequence[Mapping[str, Any]]) -> str:
+        return "all" if len(same) == count > 1 else ", ".join(str(row["set"]) for row in same)
+
+    rows = [{**same[0], "set": sets(same)} for same in alike.values()]
     creeps = any(row["rigid_creep_deg"] < row["rigid_slide_deg"] for row in rows)
 
     def degrees(header: str, key: str) -> TableColumn:
@@ -22,7 +32,7 @@ def limits_table(name: str, rows: Sequence[Mapping[str, Any]]) -> Table:
         f"{name}: steepest slope that holds the drone [deg]",
         rows,
         (
-            words("set", lambda row: str(row["set"])),
+            words("set", lambda row: row["set"]),
             numbers("thrust", lambda row: f"{row['reverse_thrust']:g}", "N"),
             degrees("rigid: slides", "rigid_slide_deg"),
             degrees("rigid: tips", "rigid_tip_deg"),

@@ -154,7 +154,8 @@ def fit_flight(
     if not len(contact):
         raise LogError(
             f"{where}: no foot reaches the surface, the lowest stays {1000 * np.nanmin(after):.0f} mm above "
-            "it; check the slope, the surface plane, capture.up, capture.down_slope and the feet"
+            "it, so the surface lies higher or the feet lower than stated, by more than that; check the "
+            "slope, the surface plane, capture.up, capture.down_slope and the feet"
         )
     touchdown = float(motion.time[hold.stop + contact[0]])
     for _ in range(3):  # the samples that count depend on the touchdown, which they move by less than one
