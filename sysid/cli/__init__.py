@@ -13,6 +13,7 @@ import sys
 import tempfile
 import traceback
 from contextlib import suppress
+from copy import copy
 from typing import Any
 
 import typer
@@ -31,6 +32,8 @@ _UsageError: Any = typer.BadParameter.__mro__[1]
 
 def main() -> None:
     """Run the command line; the entry point of ``sysid``."""
+    # Plugins of pydantic are none of ours; it would look for them in every installed package.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     out = sys.stdout
     for stream in (out, sys.stderr):
         # A Windows console may not be able to write Ω or ²: better a question mark than a traceback.
@@ -43,7 +46,7 @@ def main() -> None:
     refusal = ""
     try:
         with heard_warnings(lambda sentence: say(f"warning: {sentence}")):
-            code = app(prog_name="sysid", standalone_mode=False) or 0
+            code = _asked(app)(prog_name="sysid", standalone_mode=False) or 0
     except SystemExit as stop:
         # click answers a closed pipe with code 1.
         code = CLOSED_PIPE if isinstance(stop.__context__, BrokenPipeError) else stop.code
@@ -77,6 +80,14 @@ def main() -> None:
     sys.exit(code)
 
 
+def _asked(program: typer.Typer) -> typer.Typer:
+    """Return a program of the one command that is asked for, because typer builds all; all where none is."""
+    one = copy(program)
+    one.registered_commands = [of for of in program.registered_commands if [of.name] == sys.argv[1:2]]
+    one.registered_groups = []
+    return one if one.registered_commands else program
+
+
 def _misused(error: Any) -> str:
     """Return what is wrong with a command line; a program without arguments shows its help."""
     if "\n" in error.message:
@@ -104,7 +115,3 @@ def _bug(error: Exception) -> str:
         where = "please report it with what --debug prints"
     words = " ".join(f"{type(error).__name__}: {error}".split())[:200]
     return printable(f"{doing} ended in a bug of sysid, not in a mistake of yours ({words}); {where}")
-
-
-if __name__ == "__main__":
-    main()

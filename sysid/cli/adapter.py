@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext, redirect_stdout
 from dataclasses import MISSING, fields, is_dataclass
 from enum import Enum, StrEnum
+from functools import cached_property
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -91,52 +92,68 @@ def command(app: typer.Typer, name: str, example: str, alias: str = "") -> Calla
     """
 
     def register(run: Run) -> Run:
-        hints = get_type_hints(run, include_extras=True)
-        defaults = {p.name: p.default for p in inspect.signature(run).parameters.values()}
+        epilog = f"\b\nExample:\n  {_folded(example)}"
+        for one in filter(None, (name, alias)):
+            app.command(one, cls=Command, epilog=epilog, hidden=one == alias)(_Callback(run, name))
+        return run
+
+    return register
+
+
+class _Callback:
+    """A function as typer calls it; its options are worked out when typer asks for them."""
+
+    def __init__(self, run: Run, name: str) -> None:
+        self.run, self.__name__, self.__doc__ = run, name, run.__doc__
+        self.__annotations__: dict[str, object] = {}
+
+    @cached_property
+    def _declared(self) -> tuple[dict[str, object], dict[str, Any], bool]:
+        """Annotations and defaults by parameter, and whether the function itself asks to be quiet.
+
+        Every command has the option; what is printed is silenced here, and a command asks for its progress.
+        """
+        hints = get_type_hints(self.run, include_extras=True)
+        defaults = {p.name: p.default for p in inspect.signature(self.run).parameters.values()}
         hints.pop("return")
-        # Every command has the option; what is printed is silenced here, and a command asks for its progress.
         asks = any(one.name == "quiet" for one in _parameters(hints, defaults))
         if not asks:
             hints["quiet"], defaults["quiet"] = Quiet, False
+        return hints, defaults, asks
 
-        def call(plugin: list[Path] | None = None, **given: object) -> None:
-            NAMED[:] = plugin or ()
-            for file in NAMED:
-                run_file(file, "that calls sysid.model")
-            # An option that the user leaves out keeps the default of the dataclass or function.
-            stated = {name: value for name, value in given.items() if value is not None}
-            values = field_values(hints, stated, _value)
-            mute = stated.get("quiet") and not stated.get("json")
-            if not asks:
-                values.pop("quiet", None)
-            try:
-                with heard_interrupts(), redirect_stdout(None) if mute else nullcontext():
-                    code = run(**values)
-            except KeyboardInterrupt:
-                # typer would end without a word.
-                typer.echo("stopped by the user", err=True)
-                code = 130
-            if code:
-                raise typer.Exit(code)
-
-        call.__doc__ = run.__doc__
+    @cached_property
+    def __signature__(self) -> inspect.Signature:
+        hints, defaults, _ = self._declared
         option = typer.Option(
             "--plugin", help="Python file with a model of your own.", metavar="FILE.py",
-            rich_help_panel=None if name == "fit" else MORE,
+            rich_help_panel=None if self.__name__ == "fit" else MORE,
         )  # fmt: skip
         plugin = inspect.Parameter(
             "plugin", inspect.Parameter.KEYWORD_ONLY, default=None,
             annotation=Annotated[list[Path] | None, option],
         )  # fmt: skip
-        parameters = [*_parameters(hints, defaults), plugin]
-        call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        call.__annotations__ = {p.name: p.annotation for p in parameters}
-        epilog = f"\b\nExample:\n  {_folded(example)}"
-        for one in filter(None, (name, alias)):
-            app.command(one, cls=Command, epilog=epilog, hidden=one == alias)(call)
-        return run
+        return inspect.Signature([*_parameters(hints, defaults), plugin])
 
-    return register
+    def __call__(self, plugin: list[Path] | None = None, **given: object) -> None:
+        NAMED[:] = plugin or ()
+        for file in NAMED:
+            run_file(file, "that calls sysid.model")
+        # An option that the user leaves out keeps the default of the dataclass or function.
+        stated = {name: value for name, value in given.items() if value is not None}
+        hints, _, asks = self._declared
+        values = field_values(hints, stated, _value)
+        mute = stated.get("quiet") and not stated.get("json")
+        if not asks:
+            values.pop("quiet", None)
+        try:
+            with heard_interrupts(), redirect_stdout(None) if mute else nullcontext():
+                code = self.run(**values)
+        except KeyboardInterrupt:
+            # typer would end without a word.
+            typer.echo("stopped by the user", err=True)
+            code = 130
+        if code:
+            raise typer.Exit(code)
 
 
 def _folded(example: str) -> str:

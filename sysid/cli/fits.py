@@ -234,13 +234,14 @@ def show(
 
     A folder is listed with the state, NRMSE and age of each fit in it.
     """
-    from sysid.workflows.fits import list_fits, print_fits
+    if source.is_dir() and not (source / "fit.h5").is_file():
+        from sysid.workflows.fits import list_fits, print_fits
+
+        if fits := list_fits(source):
+            return print_fits(fits, json)
     from sysid.workflows.show import print_sets
 
-    if source.is_dir() and not (source / "fit.h5").is_file() and (fits := list_fits(source)):
-        print_fits(fits, json)
-    else:
-        print_sets(source, json)
+    print_sets(source, json)
 
 
 @command(app, "export", "sysid export fits/demo/motor --for gazebo --mass '1.2 kg'")

@@ -15,7 +15,7 @@ import numpy as np
 from sysid.errors import ExportError, FitError, SysidError
 from sysid.export import binary, spreadsheet
 from sysid.fit.result import FitResult
-from sysid.fit.store import FIT_FILE, read_fit
+from sysid.fit.store import FIT_FILE, read_fit, read_sets
 from sysid.gear.parameters import PARAMETERS as OF_GEAR
 from sysid.motor.parameters import PARAMETERS as OF_MOTOR
 from sysid.parameter_sets import ParameterSets, SetsContent, SetsDocument
@@ -32,6 +32,8 @@ _WRITERS = {
     ".mat": binary.to_mat,
 }
 SUFFIXES = tuple(_WRITERS)
+# Remedy and error of a fit that the table of its model excludes.
+_OF_FIT = "restore fit.h5, or run the fit again", FitError
 
 
 def export(sets: ParameterSets, path: str | Path) -> Path:
@@ -67,7 +69,9 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
     folder = file.parent if of_fit else file
     missing = not (file.suffix or file.exists())
     if file.is_dir() or missing or (of_fit and schema_of(beside, ExportError) == FIT_FILE.schema):
-        return with_intervals(read_judged_fit(folder), folder).parameter_sets()
+        sets = with_intervals(read_sets(folder), folder)
+        _judge(sets, folder, *_OF_FIT)
+        return sets
     try:
         data = file.read_bytes()
     except OSError as error:
@@ -106,7 +110,7 @@ def read_judged_fit(path: str | Path) -> FitResult:
     Raises FitError where `read_fit` does, or the table of the fit's model excludes a unit or a value.
     """
     result = read_fit(path)
-    _judge(result, path, "restore fit.h5, or run the fit again", FitError)
+    _judge(result, path, *_OF_FIT)
     return result
 
 

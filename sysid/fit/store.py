@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import hashlib
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
@@ -147,8 +148,9 @@ def _meant(path: Path) -> str:
     return f"; did you mean {' or '.join(names)}?" if names else ""
 
 
-def read_fit(path: str | Path) -> FitResult:
-    """Read a fit folder, or its ``fit.h5``.
+@contextmanager
+def _opened(path: str | Path) -> Iterator[tuple[Any, ParameterSets]]:
+    """Open a fit folder, or its ``fit.h5``; give the file and the sets in it.
 
     Raises FitError when that is missing, foreign, damaged or cut off, or it or ``fit.json`` beside it has
     changed.
@@ -168,10 +170,24 @@ def read_fit(path: str | Path) -> FitResult:
     with FIT_FILE.opened(file_path) as file:
         check_unchanged(file_path.parent)
         group = file["sets"]
-        sets = ParameterSets.from_metadata(
-            SetsMetadata.parse(get_texts(file, "metadata_json"), file_path, FitError),
-            **{name: group[name][()] for name in ("values", "nrmse", "at_bound", "nrmse_by_trial")},
+        yield (
+            file,
+            ParameterSets.from_metadata(
+                SetsMetadata.parse(get_texts(file, "metadata_json"), file_path, FitError),
+                **{name: group[name][()] for name in ("values", "nrmse", "at_bound", "nrmse_by_trial")},
+            ),
         )
+
+
+def read_sets(path: str | Path) -> ParameterSets:
+    """Return the ranked sets of a fit without its runs and trajectories; raises as `read_fit`."""
+    with _opened(path) as (_, sets):
+        return sets
+
+
+def read_fit(path: str | Path) -> FitResult:
+    """Return a fit from its folder or ``fit.h5``; FitError for one missing, foreign, damaged or changed."""
+    with _opened(path) as (file, sets):
         return FitResult(
             **content_of(sets),
             trials=tuple(map(_read_trial, numbered(file, "trials"))),
@@ -182,7 +198,7 @@ def read_fit(path: str | Path) -> FitResult:
             ),
             set_runs=sets.runs,
             set_seeds=sets.seeds,
-            cube=group["cube"][()],
+            cube=file["sets/cube"][()],
         )
 
 
