@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import model_notes
 from fakes.fits import GEAR, MOTOR, made_fit
 from fakes.places import PUBLISHED
 from sysid.export import load_parameter_sets
@@ -19,7 +20,7 @@ from sysid.fit.result import TrialResult
 from sysid.fit.store import read_fit, write_fit
 from sysid.gear.model import PARAMETERS, EventKind, pack, simulate
 from sysid.parameter_sets import ParameterRecord
-from sysid.report import diagrams, gear_report, model_notes
+from sysid.report import diagrams, gear_report
 from sysid.report.answer import Reopened
 from sysid.report.drawing import as_math, thinned, unit_of
 from sysid.report.drop_replay import (

@@ -1,4 +1,4 @@
-"""The model in numbers: where the paper's print cannot be meant, and what shows it."""
+"""What `the-model.ipynb` shows in numbers: where the paper's print cannot be meant, and what shows it."""
 
 from __future__ import annotations
 
