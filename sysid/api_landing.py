@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,8 +19,7 @@ from sysid.export import load_parameter_sets
 from sysid.landing.design_study import DesignStudy, find_changes
 from sysid.landing.design_study import design_study as study_of
 from sysid.landing.drone import Pairing, drone
-from sysid.landing.impulse_maps import after_impulses, impulse_maps
-from sysid.landing.maps import Fleets, landing_maps
+from sysid.landing.maps import Fleets
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.settings import ImpulseSettings, MapSettings, StudySettings
 from sysid.landing.simulate import Landing
@@ -34,7 +33,7 @@ from sysid.shown import Shown
 from sysid.storage import check_file, path_of
 from sysid.workflows.draws import sets_or_draws
 from sysid.workflows.landing import controller_of, land_drone
-from sysid.workflows.landing_maps import limits_of
+from sysid.workflows.landing_maps import controlled_maps, impulsive_maps
 from sysid.workflows.landing_sources import chosen_controllers, paired_fleets
 from sysid.workflows.options import (
     DesignStudyOptions,
@@ -207,9 +206,9 @@ def landing_map(
         _several(controllers, "controllers"), settings.rules.horizon, file=_file(controller_file),
         ideal_reversal=ideal_reversal, trigger=trigger,
     )  # fmt: skip
-    maps = landing_maps(fleets, chosen, settings, _computing(threads))
-    stated = asdict(settings) | {"controllers": [asdict(controller) for controller in chosen]}
-    return LandingMaps(MapFile(maps, (), stated | {"static_limits": limits_of(fleets, chosen)}, origin))
+    content = controlled_maps(fleets, origin, chosen, settings, _computing(threads))
+    assert content is not None  # nobody asks it to stop
+    return LandingMaps(content)
 
 
 @documented(ImpulseMapOptions)
@@ -245,10 +244,9 @@ def impulse_map(
         durations=_grid(durations, "durations", "s"),
     )  # fmt: skip
     impulses.check_within(settings.rules.horizon)
-    best, maps = impulse_maps(fleets, settings, impulses, _computing(threads))
-    stated = asdict(settings) | {"impulses": asdict(impulses)}
-    stated["static_limits"] = limits_of(fleets, after_impulses(impulses))
-    return LandingMaps(MapFile(maps, best, stated, origin))
+    content = impulsive_maps(fleets, origin, settings, impulses, _computing(threads))
+    assert content is not None  # nobody asks it to stop
+    return LandingMaps(content)
 
 
 @dataclass(frozen=True, repr=False)
@@ -312,8 +310,7 @@ def design_study(
     (chosen,) = chosen_controllers(
         [controller], settings.rules.horizon, file=_file(controller_file), ideal_reversal=ideal_reversal
     )
-    name = fleet[0].name.rsplit(" ", 2)[0]
-    study = study_of(name, fleet, changes, chosen, settings, _computing(threads))
+    study = study_of(fleet[0].sets, fleet, changes, chosen, settings, _computing(threads))
     assert study is not None  # nobody asks it to stop
     return DesignTable(study)
 

@@ -71,7 +71,7 @@ def design_study(options: DesignStudyOptions) -> int:
 
     Says the steepest slope that each design lands on.
     """
-    from sysid.workflows.design_study import study_designs
+    from sysid.workflows.landing_maps import study_designs
 
     return _journalled(study_designs, options)
 

@@ -48,6 +48,7 @@ class Drone:
     motor: Mapping[str, float]
     surface: str
     name: str = ""
+    sets: str = ""  # name of the sets that its gear is one of
     drawn: bool = False  # whether it is a draw of what the data leave open
 
     @cached_property
@@ -130,7 +131,7 @@ def drone(gear: RankedSet, motor: RankedSet | None = None) -> Drone:
     surface = find_surface(str(gear.sets.settings.get("surface", "lf"))).name
     drawn = DRAWS in gear.sets.provenance
     name = f"{gear.sets.name} {'draw' if drawn else 'set'} {gear.rank}"
-    return Drone(gear.known(gear_model.PARAMETERS), rotor, surface, name, drawn)
+    return Drone(gear.known(gear_model.PARAMETERS), rotor, surface, name, gear.sets.name, drawn)
 
 
 @dataclass(frozen=True)

@@ -100,25 +100,20 @@ def inspect_files(
         if short:
             _print_rows(console, reports)
         for path, result in results:
-            if short and isinstance(result, LogReport):
-                continue
+            channels: list[str] | None = None
             if isinstance(result, LogReport):
+                if short:
+                    continue
                 print_log(console, result)
-                unread = any(note.code == "columns-not-read" for note in result.notes)
-                lacking = (
-                    missing(path, format_name, given, [channel.name for channel in result.channels])
-                    if unread
-                    else None
-                )
-                if lacking is not None:
-                    _print_missing(console, path, format_name, given, lacking, isinstance(result, SysidError))
-            else:
-                if len(paths) > 1:
-                    console.print(Text(str(path), style="bold"))
-                    console.print(Text(f"  refused: {result}", style="bold red"))
-                lacking = missing(path, format_name, given)
-                if lacking is not None:
-                    _print_missing(console, path, format_name, given, lacking, isinstance(result, SysidError))
+                if all(note.code != "columns-not-read" for note in result.notes):
+                    continue
+                channels = [channel.name for channel in result.channels]
+            elif len(paths) > 1:
+                console.print(Text(str(path), style="bold"))
+                console.print(Text(f"  refused: {result}", style="bold red"))
+            lacking = missing(path, format_name, given, channels)
+            if lacking is not None:
+                _print_missing(console, path, format_name, given, lacking, isinstance(result, SysidError))
         if figure is not None:
             console.print(Text(f"wrote {figure}"))
     refusals = [(str(path), result) for path, result in results if isinstance(result, SysidError)]

@@ -1,8 +1,8 @@
-"""Landing maps from the command line: compute in blocks, write HDF5, draw, compare with real landings."""
+"""Landing maps and design studies: compute in blocks, write HDF5, draw, compare with real landings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -10,17 +10,20 @@ import numpy as np
 
 from sysid.journal import notice, tell
 from sysid.landing.controllers import Controller
+from sysid.landing.design_study import DesignStudy, design_study, designs, find_changes, fleets_of
 from sysid.landing.drone import Motors
 from sysid.landing.impulse_maps import after_impulses, impulse_maps
 from sysid.landing.maps import Fleets, landing_maps, map_identity
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments, strangers
+from sysid.landing.settings import ImpulseSettings, MapSettings
 from sysid.landing.static_limits import rigid_limits, set_down_limit
-from sysid.landing.store import MapFile, write_maps
+from sysid.landing.store import MapFile, write_maps, write_study
+from sysid.report.design_figures import figure_design_study
 from sysid.report.drawing import save_figure
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_of_file
-from sysid.report.landing_tables import maps_table
+from sysid.report.landing_tables import gains_table, maps_table
 from sysid.report.table import listed
 from sysid.resume import Computing
 from sysid.workflows.landing_sources import (
@@ -29,7 +32,7 @@ from sysid.workflows.landing_sources import (
     compute_and_write,
     open_fleets,
 )
-from sysid.workflows.options import ImpulseMapOptions, LandingMapOptions
+from sysid.workflows.options import DesignStudyOptions, ImpulseMapOptions, LandingMapOptions
 from sysid.workflows.provenance import seen_from
 
 
@@ -55,14 +58,12 @@ def compute_landing_maps(options: LandingMapOptions) -> MapFile | None:
         )
 
     def compute(how: Computing) -> MapFile | None:
-        maps = landing_maps(fleets, controllers, settings, how)
-        document = asdict(settings) | {"controllers": [asdict(controller) for controller in controllers]}
-        document["static_limits"] = limits_of(fleets, controllers)
+        more: dict[str, object] = {}
         if options.controller_file is not None:
-            document["controller_file"] = seen_from(options.out.parent, options.controller_file)
+            more["controller_file"] = seen_from(options.out.parent, options.controller_file)
         if options.experiments:
-            document["real_landings"] = [asdict(landing) for landing in real]
-        return MapFile(maps, (), document, origin) if maps else None
+            more["real_landings"] = [asdict(landing) for landing in real]
+        return controlled_maps(fleets, origin, controllers, settings, how, more)
 
     def write(content: MapFile) -> None:
         write_maps(options.out, content)
@@ -88,10 +89,7 @@ def compute_impulse_maps(options: ImpulseMapOptions) -> MapFile | None:
     fleets, origin = open_fleets(options.motors, options.sets, options.out)
 
     def compute(how: Computing) -> MapFile | None:
-        best, maps = impulse_maps(fleets, settings, impulses, how)
-        document = asdict(settings) | {"impulses": asdict(impulses)}
-        document["static_limits"] = limits_of(fleets, after_impulses(impulses))
-        return MapFile(maps, best, document, origin) if maps else None
+        return impulsive_maps(fleets, origin, settings, impulses, how)
 
     def write(content: MapFile) -> None:
         write_maps(options.out, content)
@@ -111,6 +109,35 @@ def compute_impulse_maps(options: ImpulseMapOptions) -> MapFile | None:
     )
     _print(content, options, picture, None)
     return content
+
+
+def controlled_maps(
+    fleets: Fleets,
+    origin: Mapping[str, object],
+    controllers: Sequence[Controller],
+    settings: MapSettings,
+    how: Computing,
+    more: Mapping[str, object] | None = None,
+) -> MapFile | None:
+    """Return the maps under every controller with what their file states, and `more`; None if stopped."""
+    maps = landing_maps(fleets, controllers, settings, how)
+    stated = asdict(settings) | {"controllers": [asdict(controller) for controller in controllers]}
+    stated |= {"static_limits": limits_of(fleets, controllers), **(more or {})}
+    return MapFile(maps, (), stated, origin) if maps else None
+
+
+def impulsive_maps(
+    fleets: Fleets,
+    origin: Mapping[str, object],
+    settings: MapSettings,
+    impulses: ImpulseSettings,
+    how: Computing,
+) -> MapFile | None:
+    """Return the best impulses and the maps of landings with them, as a file has them; None if stopped."""
+    best, maps = impulse_maps(fleets, settings, impulses, how)
+    stated = asdict(settings) | {"impulses": asdict(impulses)}
+    stated["static_limits"] = limits_of(fleets, after_impulses(impulses))
+    return MapFile(maps, best, stated, origin) if maps else None
 
 
 def limits_of(fleets: Fleets, controllers: Sequence[Controller]) -> list[dict[str, object]]:
@@ -171,3 +198,57 @@ def _print(
         heads = ("observed", "simulated:", *(outcome.name.lower() for outcome in OUTCOMES))
         print_table(listed("", rows, heads, texts=2))
     print(f"wrote {options.out} and {picture}")
+
+
+def study_designs(options: DesignStudyOptions) -> DesignStudy | None:
+    """Compute a study, write it and its figure, and print what each change buys; None if stopped.
+
+    Raises `SysidError` before anything is computed, where an input cannot be used.
+    """
+    how, motors, settings = options.compute, options.motors, options.study
+    picture = options.out.with_suffix(".png")
+    check_result("study", options.out, how.force, picture)
+    changes = find_changes(options.vary)
+    (fleet,), origin = open_fleets(motors, [options.sets], options.out)
+    (controller,) = chosen_controllers(
+        [options.controller], settings.rules.horizon, file=options.controller_file,
+        ideal_reversal=motors.ideal_reversal,
+    )  # fmt: skip
+    points = designs(changes, settings.together)
+    fleets = fleets_of(fleet, changes, points)
+    grids = settings.grids()
+    for grid in grids:
+        grid.cells()  # refuses an attitude that cannot touch down before any map is computed
+
+    def compute(where: Computing) -> DesignStudy | None:
+        return design_study(fleet[0].sets, fleet, changes, controller, settings, where)
+
+    def write(study: DesignStudy) -> None:
+        more: dict[str, object] = {"controller": asdict(controller)}
+        if options.controller_file is not None:
+            more["controller_file"] = seen_from(options.out.parent, options.controller_file)
+        write_study(options.out, study, origin | more)
+        save_figure(figure_design_study(study), picture)
+
+    identity = map_identity(fleets, [controller], *grids)
+    blocks = (len(grids) * len(points) * len(fleet), "landings")
+    study = compute_and_write(options.out, identity, blocks, compute, write, options=how)
+    if study is None:
+        return None
+    lost = int(study.lost.sum())
+    if lost:
+        notice(
+            "lost-landings",
+            f"{lost} landings of {np.count_nonzero(study.lost)} of {len(study.points)} designs "
+            "could not be simulated and count nowhere; a slope on which none could counts as not safe",
+        )
+    if how.json:
+        print_result({
+            "name": study.name, "controller": study.controller, "speeds": list(study.settings.speeds),
+            "steepest_deg": study.steepest[0].tolist(), "at_edge": study.at_edge[0].tolist(),
+            "changes": study.gains(), "lost": lost, "file": str(options.out),
+        }, json=True)  # fmt: skip
+    else:
+        print_table(gains_table(study))
+        print(f"wrote {options.out} and {picture}")
+    return study

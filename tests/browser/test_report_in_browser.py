@@ -20,9 +20,8 @@ from fakes.places import PUBLISHED, SAMPLES
 from fakes.reports import SHORT, short_fits
 from sysid.landing.settings import MapSettings, StudySettings
 from sysid.workflows.compare import compare_and_print
-from sysid.workflows.design_study import study_designs
 from sysid.workflows.fit import fit_campaign
-from sysid.workflows.landing_maps import compute_landing_maps
+from sysid.workflows.landing_maps import compute_landing_maps, study_designs
 from sysid.workflows.options import (
     ComputeOptions,
     DesignStudyOptions,
