@@ -21,7 +21,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -240,8 +240,7 @@ class FileKind:
     """A kind of HDF5 file, by its attributes `schema` and `version`.
 
     A refusal is an `error_type`; it calls the file `what` (``a fit``) and advises the `remedy` (``run the fit
-    again``). `migrations` has, by an older version, the function that turns an open file of that version into
-    the next one's; it works on a copy in memory.
+    again``).
     """
 
     schema: str
@@ -249,7 +248,6 @@ class FileKind:
     what: str
     remedy: str
     error_type: type[SysidError] = SysidError
-    migrations: Mapping[int, Callable[[h5py.File], object]] = field(default_factory=dict)
 
     def content(self, write: Callable[[h5py.File], object]) -> bytes:
         """Return a file's bytes; `write` fills the open file."""
@@ -269,17 +267,7 @@ class FileKind:
         if content is None and not Path(path).is_file():
             raise self.error_type(f"{path}: no such file; name {self.what} of sysid")
         try:
-            source = path if content is None else io.BytesIO(content)
-            with h5py.File(source, "r") as file:
-                old = file.attrs.get("schema") == self.schema and file.attrs.get("version") in self.migrations
-            if old:
-                source = io.BytesIO(Path(path).read_bytes() if content is None else content)
-                with h5py.File(source, "r+") as file:
-                    _check_content(file)
-                    while (version := file.attrs["version"]) in self.migrations:
-                        self.migrations[version](file)
-                        file.attrs["version"] = version + 1
-            with h5py.File(source, "r") as file:
+            with h5py.File(path if content is None else io.BytesIO(content), "r") as file:
                 if file.attrs.get("schema") != self.schema:
                     raise self.error_type(f"{path}: not {self.what} of sysid; {self.remedy}")
                 if file.attrs.get("version") != self.version:

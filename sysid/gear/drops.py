@@ -244,11 +244,10 @@ class _Preparation:
         motion, flight = self.motion, self.flight
         window = self._window()
         target, spectrum = self._target(window)
-        self._doubt()
         around = self.margin if _same_way(self.campaign) else 0
         initial_state = flight.at(motion.time[window.start : window.start + 1])[0]
         impact_speed = float(-self.at_touchdown[4])
-        return PreparedDrop(
+        drop = PreparedDrop(
             name=self.trial.name,
             use=self.trial.use,
             feet=self.feet,
@@ -279,6 +278,8 @@ class _Preparation:
             },
             attitude=self.attitude,
         )
+        self._doubt(drop)
+        return drop
 
     def _notice(self, code: str, sentence: str, size: float) -> None:
         notice(code, sentence, trial=self.trial.name, size=size)
@@ -404,7 +405,7 @@ class _Preparation:
         )
         return target, None if lowpass is None else amplitude_spectrum(raw, rate)
 
-    def _doubt(self) -> None:
+    def _doubt(self, drop: PreparedDrop) -> None:
         """Notice an unlikely g and a doubtful touchdown."""
         measured, gravity = self.flight.measured_gravity, self.campaign.vehicle.gravity
         wrong = abs(measured / gravity - 1)
@@ -416,15 +417,14 @@ class _Preparation:
                 "capture.up, the slope and that nothing brakes the body",
                 wrong,
             )
-        late = self._leaves_free_fall() - self.touchdown
-        if not _EARLY_LATE[0] < late < _EARLY_LATE[1]:
-            side, level = ("after", "high") if late > 0 else ("before", "low")
-            off = -self.at_touchdown[4] * abs(late - _YIELDING)
+        if not drop.touches_in_time:
+            side, level = ("after", "high") if drop.late > 0 else ("before", "low")
             self._notice(
                 "doubtful-surface",
-                f"the body leaves free fall {1000 * abs(late):.0f} ms {side} the feet should touch; the "
-                f"surface plane may lie about {1000 * off:.0f} mm too {level}; check the slope and the plane",
-                abs(late),
+                f"the body leaves free fall {1000 * abs(drop.late):.0f} ms {side} the feet should touch; the "
+                f"surface plane may lie about {1000 * abs(drop.surface_error):.0f} mm too {level}; check the "
+                "slope and the plane",
+                abs(drop.late),
             )
 
     def _leaves_free_fall(self) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from sysid.errors import ExportError
 from sysid.landing.design_study import Change, DesignStudy
-from sysid.landing.impulse_maps import UNITS, ImpulseMap
+from sysid.landing.impulse import UNITS, ImpulseMap
 from sysid.landing.maps import CellMap, LandingMap
 from sysid.landing.outcomes import MEANINGS, OUTCOMES, Rules
 from sysid.landing.settings import StudySettings

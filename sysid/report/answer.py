@@ -15,6 +15,7 @@ from sysid.fit.result import FitResult
 from sysid.parameter_sets import ACCUSED, KNOWN_ANYHOW, Judged, Known
 from sysid.parameters import common_name, with_unit
 from sysid.report.html import NOTHING, Html, bullets, joined, paragraph
+from sysid.report.set_tables import INTERVAL
 from sysid.report.table import NONE, Cell, Table, numbers, table, words
 from sysid.report.trust_tables import AT_BOUND, ends_of, judged_cell, partners_of
 from sysid.trust.documents import Judgement, TrustDocument
@@ -201,7 +202,7 @@ def parameter_table(fit: FitResult, trust: TrustDocument | None, truth: Mapping[
             words("symbol", lambda row: row.record.symbol or row.record.name),
             words("name", lambda row: common_name(row.record).replace("_", " ")),
             numbers("value", Known.text),
-            numbers("95 % interval", lambda row: row.judged.interval if row.judged else NONE),
+            INTERVAL,
             words("unit", lambda row: row.record.unit or "1"),
             words("verdict", lambda row: judged_cell(row.judged) if row.judged else NONE),
             words("correlates with", partners),

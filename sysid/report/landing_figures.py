@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.patheffects import Normal, withStroke
 
-from sysid.landing.impulse_maps import ImpulseMap
+from sysid.landing.impulse import ImpulseMap
 from sysid.landing.maps import LandingMap, cell_edges
 from sysid.landing.outcomes import OUTCOMES, Outcome
 from sysid.landing.real_landings import Experiment, of_map

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from sysid.documents import channel_symbol, rounded
-from sysid.parameter_sets import DRAWS, NEAR_BEST, Known, ParameterRecord, ParameterSets
+from sysid.parameter_sets import DRAWS, NEAR_BEST, Judged, Known, ParameterRecord, ParameterSets
 from sysid.report.table import (
     NONE,
     Cell,
@@ -29,6 +29,8 @@ _AT_BOUND, _UNFIXED = "*", "†"
 _FLAG = f"{_AT_BOUND} ends within 1 % of a bound of the search"
 _SPREAD = "σ is the spread of the runs, not the accuracy; it includes runs that ended elsewhere"
 _DRAWN = "σ is the spread of the draws: what the data leave open"
+PARAMETER = words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit))
+INTERVAL = numbers("95 % interval", lambda row: row.judged.interval if row.judged else NONE)
 _NOISE = "the NRMSE of a velocity (ẋ_B, ż_B) is mostly noise: velocities are differentiated positions"
 
 
@@ -84,6 +86,11 @@ class MeanRow:
     record: ParameterRecord
     measured: tuple[float, ...]
     fitted: tuple[Known | None, ...]
+
+    @property
+    def judged(self) -> Judged | None:
+        """Interval and verdict in the first fit."""
+        return self.fitted[0].judged if self.fitted[0] else None
 
 
 def mean_table(*fits: ParameterSets) -> list[MeanRow]:
@@ -142,23 +149,15 @@ def mean_sigma_table(*fits: ParameterSets, unfixed: Sequence[str] = ()) -> Table
             return NONE
         return f"{rounded(free.lower)} to {rounded(free.upper)}"
 
-    def interval(row: MeanRow) -> str:
-        known = row.fitted[0]
-        return known.judged.interval if known and known.judged else NONE
-
-    def verdict(row: MeanRow) -> str:
-        known = row.fitted[0]
-        return known.judged.verdict.replace("_", " ") if known and known.judged else NONE
-
-    judged = numbers("95 % interval", interval), words("verdict", verdict)
+    verdict = words("verdict", lambda row: row.judged.verdict.replace("_", " ") if row.judged else NONE)
     filled = table(
         f"measured and identified parameters ({title})",
         rows,
         (
-            words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
+            PARAMETER,
             # The fits first: a phone shows the left of a table.
             *(numbers(sets.name, partial(fitted, k)) for k, sets in enumerate(fits)),
-            *(judged if one and fits[0].judged else ()),
+            *((INTERVAL, verdict) if one and fits[0].judged else ()),
             # A range of no width is one value.
             words("measured", lambda row: " to ".join(dict.fromkeys(map(rounded, row.measured))) or NONE)
             if one
@@ -228,11 +227,11 @@ def truth_table(sets: ParameterSets, truth: Mapping[str, float]) -> Table:
         f"{sets.name}: found against true",
         [row for name, row in sets.known.items() if row.found and name in truth],
         (
-            words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
+            PARAMETER,
             numbers("true", lambda row: rounded(truth[row.record.name])),
             numbers("found", lambda row: NONE if row.instead else rounded(row.values[0])),
             numbers("off", off, "%"),
-            numbers("95 % interval", lambda row: row.judged.interval if row.judged else NONE),
+            INTERVAL,
             words("inside", inside),
         ),
     )

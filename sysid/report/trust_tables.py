@@ -13,6 +13,7 @@ from sysid.documents import channel_symbol, interval, rounded
 from sysid.fit.store import fit_folder
 from sysid.parameter_sets import Judged, Known, ParameterSets
 from sysid.report.fold import print_lines, print_result, print_table
+from sysid.report.set_tables import INTERVAL, PARAMETER
 from sysid.report.table import (
     NONE,
     Cell,
@@ -93,9 +94,9 @@ def answer_table(sets: ParameterSets) -> Table:
         "",
         rows,
         (
-            words("parameter", lambda row: name_and_unit(row.record.symbol, row.record.unit)),
+            PARAMETER,
             numbers("best set", Known.text),
-            numbers("95 % interval", lambda row: row.judged.interval if row.judged else NONE),
+            INTERVAL,
             words("verdict", lambda row: judged_cell(row.judged) if row.judged else NONE),
         ),
         AT_BOUND if any("*" in row.text() for row in rows) else "",

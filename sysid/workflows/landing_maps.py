@@ -12,7 +12,7 @@ from sysid.journal import notice, tell
 from sysid.landing.controllers import Controller
 from sysid.landing.design_study import DesignStudy, design_study, designs, find_changes, fleets_of
 from sysid.landing.drone import Motors
-from sysid.landing.impulse_maps import after_impulses, impulse_maps
+from sysid.landing.impulse import after_impulses, impulse_maps
 from sysid.landing.maps import Fleets, landing_maps, map_identity
 from sysid.landing.outcomes import OUTCOMES
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments, strangers

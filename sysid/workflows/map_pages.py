@@ -1,9 +1,9 @@
-"""Pages of landing maps and design studies: every cell with the command that simulates it."""
+"""Pages of landing maps and design studies: cells that a reader touches, each with what simulates it."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 
 from sysid.gear.model import PARAMETERS as GEAR
 from sysid.landing.design_study import DesignStudy
-from sysid.landing.maps import LandingMap
+from sysid.landing.maps import LandingMap, cell_edges
 from sysid.landing.outcomes import Rules
 from sysid.landing.store import MAPS, STUDY, MapFile, read_maps, read_study
 from sysid.marks import Flag, field_hints, mark_of
 from sysid.motor.model import PARAMETERS as MOTOR
 from sysid.parameter_sets import DRAWS
 from sysid.report.answer import answer_box
-from sysid.report.cell_explorer import CellAxis, CellChart, explorer
 from sysid.report.design_figures import narrow_figures
 from sysid.report.html import (
     NOTHING,
     Html,
     definitions,
+    filled,
     heading,
     in_true_colours,
     joined,
@@ -35,10 +35,18 @@ from sysid.report.html import (
     picture,
     side_by_side,
 )
-from sysid.report.landing_figures import MapLegend, figure_impulse, figure_of_file, legend_entries
+from sysid.report.landing_figures import (
+    COLOURS,
+    MapLegend,
+    class_words,
+    figure_impulse,
+    figure_of_file,
+    legend_entries,
+)
 from sysid.report.landing_tables import gains_table, maps_table
+from sysid.report.plots import embedded
 from sysid.report.table import Cell
-from sysid.types import FloatArray, IntArray
+from sysid.types import BoolArray, FloatArray, IntArray
 from sysid.workflows.reopen import shown_from_here
 
 _SLOPE, _SPEED = ("slope", "deg"), ("touchdown speed", "m/s")
@@ -46,6 +54,70 @@ _SLOPE, _SPEED = ("slope", "deg"), ("touchdown speed", "m/s")
 _ACROSS, _UP, _FIRST = 0, 1, 2
 # A command as `CellChart.command` has it.
 Command = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class CellAxis:
+    """An axis of cells: its name, and the value of each cell; `even` cells are as wide as each other."""
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    even: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class CellChart:
+    """Landings over two axes, and how to simulate each; NaN where nothing came to rest."""
+
+    title: str
+    across: CellAxis
+    up: CellAxis
+    rows: tuple[str, ...]  # landings in every cell: R sets, or one row for all
+    outcome: NDArray[np.int8]  # (R, n, m) `Outcome` codes
+    distance: FloatArray  # (R, n, m) displacement [m]
+    time: FloatArray  # (R, n, m) time to rest [s]
+    # Texts, and numbers of the parts that each cell replaces: 0 the value across, 1 up, 2 and on `texts`.
+    command: tuple[str | int, ...]
+    texts: tuple[NDArray[Any], ...] = ()  # (n, m) each
+    doubt: BoolArray | None = None  # (n, m) half the tolerance changes a class
+    share: FloatArray | None = None  # (n, m) landings that come to rest within the long distance [1]
+    decides: NDArray[np.str_] | None = None  # (n, m) what decides a doubtful cell, in words
+
+    def document(self) -> dict[str, object]:
+        """Return what the page's script draws: thousandths as whole numbers, cells row by row."""
+
+        def whole(values: FloatArray) -> list[list[int | None]]:
+            flat = 1e3 * values.reshape(len(values), -1)
+            return [[None if not np.isfinite(v) else round(v) for v in row] for row in flat.tolist()]
+
+        def axis(chosen: CellAxis) -> dict[str, object]:
+            edges = cell_edges(np.array(range(len(chosen.values)) if chosen.even else chosen.values)).tolist()
+            # The values as a command states them.
+            texts = [f"{value:.12g}" for value in chosen.values]
+            return {"name": chosen.name, "unit": chosen.unit, "texts": texts, "edges": edges}
+
+        return {
+            "title": self.title, "x": axis(self.across), "y": axis(self.up), "rows": list(self.rows),
+            "outcome": ["".join(map(str, row.ravel().tolist())) for row in self.outcome],
+            "distance": whole(np.abs(self.distance)), "time": whole(self.time),
+            "command": list(self.command), "texts": [text.ravel().tolist() for text in self.texts],
+            "doubt": None if self.doubt is None else "".join(map(str, self.doubt.ravel().astype(int))),
+            "share": None if self.share is None else whole(self.share[None])[0],
+            "decides": None if self.decides is None else self.decides.ravel().tolist(),
+        }  # fmt: skip
+
+
+def explorer(charts: Sequence[CellChart], rules: Rules, notes: Sequence[str] = ()) -> Html:
+    """Return charts to choose from, whose cells pointer, touch and keys read; `notes` stand below."""
+    document = {
+        "charts": [chart.document() for chart in charts],
+        "colours": list(COLOURS.values()),
+        "words": list(class_words(rules.short, rules.long).values()),
+        "long": f"{rules.long:g} m",
+    }
+    titles = [chart.title for chart in charts]
+    return filled("cells.html.j2", titles=titles, notes=notes, data=embedded(document))
 
 
 def map_page(path: Path) -> str:

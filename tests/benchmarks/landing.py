@@ -19,7 +19,7 @@ from paired import flags, mean_nrmse, measured
 from sysid.gear.model import PARAMETERS, Drops, Ending, prepare, simulate, simulate_population
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import Drone, Motors, drones
-from sysid.landing.impulse_maps import impulse_maps
+from sysid.landing.impulse import impulse_maps
 from sysid.landing.maps import landing_maps
 from sysid.landing.settings import LANDING_TOLERANCE, ImpulseSettings, MapSettings, Scenario, grid
 from sysid.landing.simulate import land_many

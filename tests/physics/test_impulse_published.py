@@ -24,7 +24,7 @@ import pytest
 from fakes.published import table_1, table_2
 from sysid.landing.controllers import find_controller
 from sysid.landing.drone import drones
-from sysid.landing.impulse_maps import impulse_maps
+from sysid.landing.impulse import impulse_maps
 from sysid.landing.maps import landing_maps
 from sysid.landing.outcomes import Outcome
 from sysid.landing.settings import ImpulseSettings, MapSettings, rear_command

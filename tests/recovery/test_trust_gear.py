@@ -12,10 +12,10 @@ from sysid.campaign import read_campaign
 from sysid.campaign.common import as_exact
 from sysid.errors import FitError
 from sysid.fit.trial import nrmse_of
-from sysid.gear.beyond_window import centre_of_mass, turning_point
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import TRUST_TOLERANCE, GearProblem, gear_space
 from sysid.gear.starts import compared_noise, start_roots
+from sysid.gear.story import centre_of_mass, turning_point
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.synthetic.gear import DropPlan
 from sysid.trust.assessment import leave_one_out, linearize

@@ -135,25 +135,6 @@ def test_a_flipped_bit_in_an_array_is_seen(tmp_path, name):
         read_fit(path)
 
 
-def test_an_older_file_is_read_by_one_function_for_each_version(tmp_path):
-    whole = write_fit(full_fit(), tmp_path / "bench") / "fit.h5"
-    before = whole.read_bytes()
-
-    def rename(file):
-        file.attrs["state"] = file.attrs["old_state"]
-
-    newer = replace(store.FIT_FILE, version=5, migrations={3: lambda file: None, 4: rename})
-    with h5py.File(whole, "r+") as file:
-        file.attrs["old_state"] = "stopped"
-    old = whole.read_bytes()
-    with newer.opened(whole) as file:
-        assert (file.attrs["version"], file.attrs["state"]) == (5, "stopped")
-    assert whole.read_bytes() == old
-    whole.write_bytes(before)
-    with pytest.raises(FitError, match="damaged or cut off"), newer.opened(whole):
-        pass
-
-
 def test_mean_nrmse_weights_channels_and_splits_uses():
     fit = full_fit()
     by_trial = fit.nrmse_by_trial @ np.array([0.25, 0.75])

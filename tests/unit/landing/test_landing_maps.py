@@ -10,7 +10,7 @@ from matplotlib.collections import QuadMesh
 
 from fakes.printed import printed
 from sysid.errors import ExportError, LogError
-from sysid.landing.impulse_maps import OPTIMUM, UNITS, ImpulseMap
+from sysid.landing.impulse import OPTIMUM, UNITS, ImpulseMap
 from sysid.landing.maps import LandingMap, cell_edges, nearest_cell
 from sysid.landing.outcomes import Outcome
 from sysid.landing.real_landings import Experiment, confusion, of_map, read_experiments

@@ -12,7 +12,7 @@ from fakes.hostile import VISIBLE
 from fakes.published import table_1, table_2
 from sysid.export import export
 from sysid.landing.outcomes import Outcome, Rules
-from sysid.report.cell_explorer import CellAxis, CellChart, explorer
+from sysid.workflows.map_pages import CellAxis, CellChart, explorer
 
 FOLDER = "my sets; 1"
 HEAD = f"{FOLDER}/lf.json", "--motor", "motor.json"

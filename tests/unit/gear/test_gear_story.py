@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sysid.gear.beyond_window import _read
+from sysid.gear.story import _read
 from sysid.trials.fall import Feet
 
 RATE, DX, DZ, SLOPE = 200.0, 0.1, 0.15, np.radians(20)
