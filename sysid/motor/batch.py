@@ -125,7 +125,7 @@ def simulate_population(
     in_threads(
         kernel.integrate_population, status.size, threads,
         kernel_rows(rows), trials.delays(len(rows), delays), trials.mapped, *trials.excitation, trials.time,
-        trials.edges, trials.first, trials.starts, trials.initial, tolerance, ideal_reversal, outputs,
-        status, reached,
+        trials.edges, trials.first, int(np.diff(trials.first).max()), trials.starts, trials.initial,
+        tolerance, ideal_reversal, outputs, status, reached,
     )  # fmt: skip
     return PopulationResult(outputs, status, reached)

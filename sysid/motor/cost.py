@@ -72,7 +72,8 @@ class BenchCost(Cost):
         valid_rows = np.concatenate(valid)
         # `_score` takes them in this order.
         self._prepared = (
-            rows, self.grid, tap_first, np.concatenate(taps), np.concatenate(time),
+            (int(np.diff(self.grid).max()), int(np.diff(rows).max())), rows, self.grid, tap_first,
+            np.concatenate(taps), np.concatenate(time),
             np.where(valid_rows, np.concatenate(measured), 0.0), valid_rows,
             np.array([target.grid_start for target in targets]),
             np.array([target.grid_step for target in targets]), self.denominators, self.weights,
@@ -105,7 +106,7 @@ class BenchCost(Cost):
         self, samples: FloatArray, reached: FloatArray, sensors: FloatArray, threads: int | None = None
     ) -> tuple[FloatArray, BoolArray, tuple[FloatArray, ...]]:
         """Return the same, and per trial the simulated signals as compared: (P, n, 2) [N·m], [rad/s]."""
-        first = self._prepared[0]
+        first = self._prepared[1]
         signals = np.empty((len(samples), first[-1], 2))
         by_channel, failed = self(samples, reached, sensors, threads, signals)
         return by_channel, failed, tuple(np.split(signals, first[1:-1], axis=1))
@@ -119,10 +120,11 @@ def _place(sample, stride, width):
 
 
 @njit(cache=True, error_model="numpy")
-def _compared(part, sensors, taps, time, start, step, wanted, out, signal):
+def _compared(part, sensors, taps, time, start, step, valid, every, out, signal):
     """Fill out (n, 2) with the simulated signals at the compared times; `signal` (n_grid,) is for work.
 
-    Of a slow log only what is `wanted` (n, 2) is filled: torque comes at one in twenty of the speed's rows.
+    Of a slow log only what is `valid` (n, 2) is filled, unless `every` sample is wanted: torque comes at one
+    in twenty of the speed's rows.
     """
     n_grid = part.shape[0]
     if taps.size > 0:
@@ -152,7 +154,9 @@ def _compared(part, sensors, taps, time, start, step, wanted, out, signal):
                 further_after = sorted_samples[_place(places[3], stride, width) :]
                 for i in range(time.size):
                     total[i] += tap * (before[i] + after[i]) + other * (further_before[i] + further_after[i])
-            out[:, c] = total
+            # As a whole column it would compile numba's message on arrays of two lengths, for two seconds.
+            for i in range(time.size):
+                out[i, c] = total[i]
         return
     for c in range(2):
         delay = sensors[0] if c == 0 else 0.0
@@ -167,7 +171,7 @@ def _compared(part, sensors, taps, time, start, step, wanted, out, signal):
                 signal[m] = part[m, c] - trail + keep * (signal[m - 1] - part[m - 1, c] + trail)
             sensed = signal[:n_grid]
         for i in range(time.size):
-            if not wanted[i, c]:
+            if not (every or valid[i, c]):
                 continue
             x = (time[i] - delay - start) / step
             m = min(max(int(x), 0), n_grid - 2)
@@ -177,13 +181,12 @@ def _compared(part, sensors, taps, time, start, step, wanted, out, signal):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _score(
-    first_job, last_job, samples, reached, sensors, rows, grid, tap_first, taps, time, measured, valid, start,
-    step, denominators, weights, by_channel, failed, signals,
+    first_job, last_job, samples, reached, sensors, longest, rows, grid, tap_first, taps, time, measured,
+    valid, start, step, denominators, weights, by_channel, failed, signals,
 ):  # fmt: skip
     n_trials, wanted = start.size, signals.shape[0] > 0
     # Fresh memory for every job would cost as much as the comparison.
-    work, every = np.empty(np.max(np.diff(grid))), np.ones((np.max(np.diff(rows)), 2), dtype=np.bool_)
-    compared = np.empty((every.shape[0], 2))
+    work, compared = np.empty(longest[0]), np.empty((longest[1], 2))
     for job in range(first_job, last_job):
         p = job // n_trials
         t = job % n_trials
@@ -195,7 +198,7 @@ def _score(
             _compared(
                 samples[p, grid[t] : grid[t + 1]], sensors[p], taps[tap_first[t] : tap_first[t + 1]],
                 time[first : first + n], start[t], step[t],
-                every[:n] if wanted else valid[first : first + n], out, work,
+                valid[first : first + n], wanted, out, work,
             )  # fmt: skip
             for c in range(2):
                 total = 0.0

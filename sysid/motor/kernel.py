@@ -328,7 +328,8 @@ def integrate(
     current_floor = 0.1 * min(torque_scale / k_m, k_v * speed_scale / res)
 
     charge = 0.0
-    done = at_sample = at_edge = 0
+    # Constants would have numba compile what takes them once more.
+    done = at_sample = at_edge = np.int64(0)
     tried = 0
     idle = 0
     status = DONE
@@ -366,9 +367,10 @@ def integrate(
             fresh = False
             in_band = abs(speed) < omega_min
             still_current, still = (current, current, 0.0, 0.0), (speed, speed, 0.0, 0.0)
-            done = write_states(times, 0, t, t, 0.0, 0.0, 0.0, False, still_current, still, out)
-            at_sample = write_cubic(samples, 0, t, t, 0.0, still, speeds)
-            at_edge = write_charge(edges, 0, t, t, 0.0, 0.0, 0.0, False, still_current, charges)
+            clip = t < begin
+            done = write_states(times, done, t, t, 0.0, charge, 0.0, clip, still_current, still, out)
+            at_sample = write_cubic(samples, at_sample, t, t, 0.0, still, speeds)
+            at_edge = write_charge(edges, at_edge, t, t, 0.0, charge, 0.0, clip, still_current, charges)
         if speed == 0.0:
             push = current if current != 0.0 else volt_segment
             side = -1.0 if push < 0.0 else 1.0
@@ -523,20 +525,19 @@ def integrate(
 @njit(cache=True, error_model="numpy", nogil=True)
 def integrate_population(
     first_job, last_job, rows, delays, mapped, command_time, command, command_first, supply_time,
-    supply_ratio, supply_first, samples, edges, first, starts, initial, tolerance, ideal, out, status,
-    reached,
+    supply_ratio, supply_first, samples, edges, first, longest, starts, initial, tolerance, ideal, out,
+    status, reached,
 ):  # fmt: skip
     """Simulate every candidate on every trial: stator torque averaged over each cell, speed at its sample.
 
     Ragged trials lie end to end; trial j owns ``x[first[j]:first[j + 1]]`` of the samples and of `out`,
-    (P, n_total, 2). A trial of n samples has n + 1 `edges`, of which sample i owns the cell from edge i to
-    edge i + 1. Jobs, one per candidate and trial, know nothing of each other: the number of threads changes
-    no bit of the result.
+    (P, n_total, 2). A trial of n samples, the `longest` at most, has n + 1 `edges`, of which sample i owns
+    the cell from edge i to edge i + 1. Jobs, one per candidate and trial, know nothing of each other: the
+    number of threads changes no bit of the result.
     """
     n_trials = starts.size
     most_steps = min(MAX_STEPS, CANDIDATE_STEPS // n_trials)
     # Fresh memory for every job would cost as much as the simulation.
-    longest = np.max(np.diff(first))
     all_speeds, all_charges = np.empty(longest), np.empty(longest + 1)
     for job in range(first_job, last_job):
         i = job // n_trials
