@@ -3,7 +3,8 @@
 A value is accused where the trials contradict its statement (`sysid.trust.stated`); of a fit that noise does
 not explain, where noise explains it once nothing is stated of the contradicted values, because missing
 physics and a bad trial pull at right values, too. A trial is accused where noise explains all others, which
-predict it badly, and no value is.
+predict it badly, and no value is; then the others may accuse values, because a wrong value spoils how a trial
+is read.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from sysid.documents import channel_symbol
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy
 from sysid.fit.problem import Problem
 from sysid.journal import Finding
+from sysid.trust.assessment import linearize
 from sysid.trust.documents import StatedValue, Suspect
 from sysid.trust.least_squares import Solved, solve
 from sysid.trust.linearized import Linearized
@@ -72,10 +74,24 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
             findings = [
                 Finding("bad-trial", bad[0].sentences[0], trials=tuple(bad[0].names), size=judged.ratio)
             ]
+            again = _without(problem, without.points[problem.names.index(bad[0].names[0])], bad[0])
+            accusing = {row.name: row for row in again.stated if row.contradicted}
+            rows = [accusing.get(row.name, row) for row in rows]
+            findings += again.findings
+            others += again.suspects
+            evaluations += again.evaluations
         else:
             others = [one.model_copy(update={"sentences": []}) for one in others]
         suspects += others
     return Inquiry(suspects, rows, findings, evaluations)
+
+
+def _without(problem: Problem, point: FloatArray, bad: Suspect) -> Inquiry:
+    """Try the stated values on all trials but a bad one, from their fit (n,) [unit cube]."""
+    others = problem.only([name for name in problem.names if name not in bad.names])
+    linear = linearize(others, point)
+    judged = adequacy(others, others.space.full(linear.point[None])[0])
+    return put_on_trial(others, linear, judged, None)
 
 
 def without_accused(
