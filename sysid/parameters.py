@@ -27,6 +27,8 @@ Scale = Literal["linear", "log"]
 AT_BOUND = 0.01
 # Distance of a stated value's bounds from the value [its standard errors], and the least share of it.
 _FARTHEST_PULL, _LEAST_SHARE = 20.0, 0.05
+# Distance from a stated value from which on its statement is a slip rather than chance [standard errors].
+_SLIP = 3.0
 
 
 @dataclass(frozen=True)
@@ -202,6 +204,15 @@ class SearchSpace:
         # In rows of memory, so that a sum over one has the same bits whatever its neighbours.
         return np.ascontiguousarray((rows[:, places] - np.array([*self.stated.values()])) / errors)
 
+    def misses(self, rows: FloatArray) -> FloatArray:
+        """Return the residuals of rows (P, n_table) [SI] by what is stated (P, S) [1].
+
+        Up to three standard errors that is the distance. Beyond, a slip is likelier than chance, and a square
+        would bend all other parameters to it: the square of the residual grows like the logarithm of the
+        distance (Cauchy's tail, smoothly joined), so that a statement which the trials contradict lets go.
+        """
+        return loosened(self.pulls(rows))[0]
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters in search order."""
@@ -246,6 +257,13 @@ class SearchSpace:
         """Return -1 within 1 % of the lower bound, +1 of the upper, else 0, of points (P, n_free) [1]."""
         cube = np.asarray(cube)
         return np.where(cube < AT_BOUND, -1, np.where(cube > 1 - AT_BOUND, 1, 0)).astype(np.int8)
+
+
+def loosened(pulls: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the residuals of distances from stated values [standard errors], and their derivatives [1]."""
+    far = np.maximum(np.abs(pulls) / _SLIP, 1.0)
+    size = np.sqrt(1.0 + 2.0 * np.log(far))
+    return np.where(far > 1.0, np.sign(pulls) * _SLIP * size, pulls), 1.0 / (far * size)
 
 
 class Named(Protocol):

@@ -33,7 +33,7 @@ from sysid.fit.trial import (
 )
 from sysid.journal import notice
 from sysid.parallel import Executor
-from sysid.parameters import SearchSpace
+from sysid.parameters import SearchSpace, loosened
 from sysid.types import BoolArray, FloatArray, IntArray
 
 # Simulated samples of a population that are in memory at once [bytes].
@@ -202,7 +202,7 @@ class Problem(ABC):
         """Return the mean NRMSE (P,) of rows [1], times what stated values cost that are left.
 
         With N independent samples the logarithm of the NRMSE is the log-likelihood over -N, and a stated
-        value that is left by p standard errors takes p²/2 off the log-likelihood.
+        value that is left with a residual p takes p²/2 off the log-likelihood.
         """
         return np.asarray(self.cost.mean(scores.by_channel) * self.of_stated(rows))
 
@@ -210,7 +210,7 @@ class Problem(ABC):
         """Return by how much stated values that are left raise the cost of rows (P,) over their NRMSE [1]."""
         if not self.space.stated:
             return np.ones(len(rows))
-        return np.asarray(np.exp(np.sum(self.space.pulls(rows) ** 2, axis=1) / (2 * self.independent)))
+        return np.asarray(np.exp(np.sum(self.space.misses(rows) ** 2, axis=1) / (2 * self.independent)))
 
     def examine(self, cube: FloatArray) -> tuple[Evaluation, FloatArray]:
         """Return what `evaluate` returns, and the residuals (P, m) [1]; NaN where a simulation failed."""
@@ -223,8 +223,8 @@ class Problem(ABC):
     def residuals(self, cube: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return residuals (P, m) in units of each channel's spread [1], and which points failed (P,).
 
-        The last ones are the distances from stated values, in standard errors. The residuals of a failed
-        point are finite and mean nothing.
+        The last ones are those of stated values, see `SearchSpace.misses`. Those of a failed point are finite
+        and mean nothing.
         """
         return self.compared(self.space.full(cube))
 
@@ -236,7 +236,7 @@ class Problem(ABC):
     def _compared(self, rows: FloatArray) -> tuple[FloatArray, Scores]:
         """Return the residuals (P, m) and scores of rows, as many at once as their samples fit in memory."""
         out = np.zeros((len(rows), self.size))
-        out[:, self.blocks[-1].stop :] = self.space.pulls(rows)
+        out[:, self.blocks[-1].stop :] = self.space.misses(rows)
         by_channel = np.zeros((len(rows), len(self.trials), len(self.channels)))
         cause = np.zeros((len(rows), len(self.trials)), dtype=np.int8)
         for part in self.parts(len(rows)):
@@ -310,9 +310,11 @@ class Problem(ABC):
         At a point of the unit cube (n_free,): the errors of stated values, then `disturbances_at`.
         """
         count, stop = len(self.space.stated), self.blocks[-1].stop
-        of_trials = self.disturbances_at(self.space.full(np.atleast_2d(cube))[0])
+        rows = self.space.full(np.atleast_2d(cube))
+        of_trials = self.disturbances_at(rows[0])
         out = np.zeros((count + len(of_trials), self.size))
-        out[:count, stop:] = np.eye(count)
+        if count:
+            out[:count, stop:] = np.diag(loosened(self.space.pulls(rows)[0])[1])
         out[count:, :stop] = of_trials
         return out
 

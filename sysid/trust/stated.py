@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from sysid.journal import Finding
-from sysid.parameters import SearchSpace, common_name, with_unit
+from sysid.parameters import SearchSpace, common_name, loosened, with_unit
 from sysid.trust.documents import StatedValue
 from sysid.trust.linearized import Linearized, bounded_information, half_widths
 from sysid.trust.verdicts import WEAKLY, as_half_width
@@ -42,8 +42,10 @@ _UNSEEN = 50.0
 class _Judged:
     """Stated values near the minimum of a fit, in standard errors: some of them, by place, are not stated."""
 
-    # (S,) distances from what is stated.
+    # (S,) distances from what is stated, and the residuals of these with their derivatives.
     pulls: FloatArray
+    residuals: FloatArray
+    slopes: FloatArray
     # (n, n) curvature and noise of the gradient over all free parameters, in units of `size`.
     curvature: FloatArray
     noise: FloatArray
@@ -66,7 +68,7 @@ class _Judged:
         noise = linear.information.gradient_noise[np.ix_(moves, moves)] / np.outer(size, size)
         pulls = space.pulls(space.full(linear.point[None]))[0]
         curvature = columns.T @ columns / np.outer(size, size)
-        return cls(pulls, curvature, noise, size, reach, linear.scale[-count:])
+        return cls(pulls, *loosened(pulls), curvature, noise, size, reach, linear.scale[-count:])
 
     @property
     def _inverse(self) -> FloatArray:
@@ -98,13 +100,16 @@ class _Judged:
         """Return the same were value i not stated."""
         count = len(self.pulls)
         row = np.zeros(len(self.size))
-        row[i - count] = self.weights[i] * self.reach[i] / self.size[i - count]
+        row[i - count] = self.weights[i] * self.slopes[i] * self.reach[i] / self.size[i - count]
         outer = np.outer(row, row)
         free = replace(
-            self, curvature=self.curvature - outer, noise=self.noise - outer * self.weights[i] ** 2
+            self,
+            curvature=self.curvature - outer,
+            noise=self.noise - outer * (self.weights[i] * self.slopes[i]) ** 2,
         )
-        move = free._inverse @ row * (self.weights[i] * self.pulls[i])
-        return replace(free, pulls=self.pulls + move[-count:] * self.reach / self.size[-count:])
+        move = free._inverse @ row * (self.weights[i] * self.residuals[i])
+        moved = move[-count:] * self.reach / self.size[-count:]
+        return replace(free, pulls=self.pulls + moved, residuals=self.residuals + self.slopes * moved)
 
 
 def stated_values(space: SearchSpace, linear: Linearized) -> list[StatedValue]:

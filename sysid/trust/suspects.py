@@ -29,7 +29,7 @@ from sysid.types import FloatArray
 # Number of stated values that are tried alone where noise does not explain the fit, by what each would gain.
 _ALONE = 3
 # Number of iterations of a fit without a statement.
-_ITERATIONS = 8
+_ITERATIONS = 15
 # Least misfit of a bad trial as the fit of the others predicts it [noise].
 _UNLIKE = 3.0
 
@@ -61,6 +61,11 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
         *tried, as_stated = [adequacy(problem, row) for row in space.full(points)]
         if wrong and lacks and tried[0].verdict == NOT_BY:
             rows = [row.model_copy(update={"contradicted": False}) for row in rows]
+        # The fit without the statements knows better than the derivatives at the fit with them.
+        asked = dict(zip(space.names, space.decode(points[0]).tolist(), strict=True))
+        rows = [
+            row.model_copy(update={"asked": asked[row.name]}) if row.contradicted else row for row in rows
+        ]
         findings = contradictions(rows, space, _falls(as_stated, tried[0]))
         accused = [one.sentence for one in findings]
         suspects = [
