@@ -42,10 +42,8 @@ _UNSEEN = 50.0
 class _Judged:
     """Stated values near the minimum of a fit, in standard errors: some of them, by place, are not stated."""
 
-    # (S,) distances from what is stated, and the residuals of these with their derivatives.
+    # (S,) distances from what is stated.
     pulls: FloatArray
-    residuals: FloatArray
-    slopes: FloatArray
     # (n, n) curvature and noise of the gradient over all free parameters, in units of `size`.
     curvature: FloatArray
     noise: FloatArray
@@ -57,18 +55,28 @@ class _Judged:
 
     @classmethod
     def of(cls, space: SearchSpace, linear: Linearized) -> _Judged:
-        """Return what is stated in a space at its minimum; a parameter at a bound does not move."""
+        """Return what is stated in a space at its minimum; a parameter at a bound does not move.
+
+        A statement that has let go (`SearchSpace.misses`) is drawn back first, as a square would: only then
+        do values that explain the trials equally well look alike.
+        """
         count = len(space.stated)
         errors = np.array([value.error for value in space.stated.values()])
         reach = np.array([row.upper - row.lower for row in space.free[-count:]]) / errors
         moves = space.at_bound(linear.point) == 0
         moves[-count:] = True
-        columns = linear.jacobian.values[:, moves]
+        pulls, weights = space.pulls(space.full(linear.point[None]))[0], linear.scale[-count:]
+        residuals, slopes = loosened(pulls)
+        columns = linear.jacobian.values[:, moves].copy()
+        columns[-count:, -count:] = np.diag(weights * reach)
         size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        columns /= size
+        own = columns[-count:]
         noise = linear.information.gradient_noise[np.ix_(moves, moves)] / np.outer(size, size)
-        pulls = space.pulls(space.full(linear.point[None]))[0]
-        curvature = columns.T @ columns / np.outer(size, size)
-        return cls(pulls, *loosened(pulls), curvature, noise, size, reach, linear.scale[-count:])
+        noise = noise + own.T * (weights**2 * (1 - slopes**4)) @ own
+        judged = cls(pulls, columns.T @ columns, noise, size, reach, weights)
+        back = judged._inverse @ own.T @ (weights * (pulls - slopes * residuals))
+        return replace(judged, pulls=pulls - back[-count:] * reach / size[-count:])
 
     @property
     def _inverse(self) -> FloatArray:
@@ -100,16 +108,13 @@ class _Judged:
         """Return the same were value i not stated."""
         count = len(self.pulls)
         row = np.zeros(len(self.size))
-        row[i - count] = self.weights[i] * self.slopes[i] * self.reach[i] / self.size[i - count]
+        row[i - count] = self.weights[i] * self.reach[i] / self.size[i - count]
         outer = np.outer(row, row)
         free = replace(
-            self,
-            curvature=self.curvature - outer,
-            noise=self.noise - outer * (self.weights[i] * self.slopes[i]) ** 2,
+            self, curvature=self.curvature - outer, noise=self.noise - outer * self.weights[i] ** 2
         )
-        move = free._inverse @ row * (self.weights[i] * self.residuals[i])
-        moved = move[-count:] * self.reach / self.size[-count:]
-        return replace(free, pulls=self.pulls + moved, residuals=self.residuals + self.slopes * moved)
+        move = free._inverse @ row * (self.weights[i] * self.pulls[i])
+        return replace(free, pulls=self.pulls + move[-count:] * self.reach / self.size[-count:])
 
 
 def stated_values(space: SearchSpace, linear: Linearized) -> list[StatedValue]:
@@ -119,7 +124,8 @@ def stated_values(space: SearchSpace, linear: Linearized) -> list[StatedValue]:
         return []
     rows = space.free[-count:]
     first = judged = _Judged.of(space, linear)
-    pulls, falls, limit = first.pulls, first.gains, float(chi2.isf(_CHANCE / count, 1))
+    pulls = space.pulls(space.full(linear.point[None]))[0]
+    falls, limit = first.gains, float(chi2.isf(_CHANCE / count, 1))
     wrong: dict[int, list[int]] = {}
     while len(wrong) < count:
         gains = judged.gains

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
-from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from sysid.parameters import Parameter, ParameterTable, SearchSpace, loosened
 from sysid.stated import Stated
 from sysid.trust.documents import StatedValue
 from sysid.trust.linearized import Information, Linearized
@@ -28,13 +29,19 @@ def space_of(stated):
 def fitted(stated, design, data):
     """The space, and the least squares of ``data = design v + noise of 1`` and what is stated of v0 to v2."""
     space = space_of(stated)
-    prior = np.diag([0.0, *1 / ERRORS**2])
-    normal = design.T @ design + prior
-    covariance = np.linalg.inv(normal)
-    values = covariance @ (design.T @ data + prior @ np.array([0.0, *stated]))
+
+    def residuals(values):
+        return np.concatenate([design @ values - data, loosened((values[1:] - stated) / ERRORS)[0]])
+
+    start = np.linalg.lstsq(design, data, rcond=None)[0]
+    values = least_squares(residuals, start, xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    slopes = loosened((values[1:] - stated) / ERRORS)[1][:, None]
+    prior = np.eye(4)[1:] / ERRORS[:, None] * slopes
+    covariance = np.linalg.inv(design.T @ design + prior.T @ prior)
     reach = np.array([row.upper - row.lower for row in space.free])
-    columns = np.concatenate([design, np.eye(4)[1:] / ERRORS[:, None]]) * reach
-    noise = columns.T @ columns
+    columns = np.concatenate([design, prior]) * reach
+    # One standard error moves the residual of a statement by its slope.
+    noise = columns.T @ np.concatenate([columns[:-3], slopes**2 * columns[-3:]])
     known = Information(noise, noise, covariance / np.outer(reach, reach), np.ones(4))
     nothing = np.zeros(0)
     derived = Jacobian(columns, nothing, nothing)
@@ -115,3 +122,17 @@ def test_two_values_that_ask_for_each_other_look_exchanged():
     assert ends == ["it looks exchanged with v1", "it looks exchanged with v0"]
     elsewhere = other.model_copy(update={"asked": 1.2})
     assert "exchanged" not in contradictions([row, elsewhere], space, FALLS)[0].sentence
+
+
+def test_a_statement_lets_go_beyond_three_errors_and_pulls_like_a_square_before():
+    pulls = np.linspace(-20, 20, 4001)
+    residuals, slopes = loosened(pulls)
+    near = np.abs(pulls) <= 3
+    np.testing.assert_array_equal(residuals[near], pulls[near])
+    # Odd, growing, without a kink; its derivative is the stated one.
+    np.testing.assert_allclose(residuals, -residuals[::-1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.gradient(residuals, pulls)[1:-1], slopes[1:-1], rtol=0, atol=3e-3)
+    # Half the derivative of the square is what bends the other parameters: 3 at most, 0.6 at 15 errors.
+    force = residuals * slopes
+    assert force.max() == pytest.approx(3, abs=0.01)
+    assert force[np.searchsorted(pulls, 15.0)] == pytest.approx(0.6, abs=0.01)
