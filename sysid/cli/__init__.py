@@ -46,7 +46,11 @@ def main() -> None:
     refusal = ""
     try:
         with heard_warnings(lambda sentence: say(f"warning: {sentence}")):
-            code = _asked(app)(prog_name="sysid", standalone_mode=False) or 0
+            # typer builds every command with all its options: only the one that is asked for, where one is.
+            program = copy(app)
+            if asked := [one for one in app.registered_commands if [one.name] == sys.argv[1:2]]:
+                program.registered_commands, program.registered_groups = asked, []
+            code = program(prog_name="sysid", standalone_mode=False) or 0
     except SystemExit as stop:
         # click answers a closed pipe with code 1.
         code = CLOSED_PIPE if isinstance(stop.__context__, BrokenPipeError) else stop.code
@@ -78,14 +82,6 @@ def main() -> None:
         with suppress(OSError):
             say(f"error: {' '.join(refusal.split())}")
     sys.exit(code)
-
-
-def _asked(program: typer.Typer) -> typer.Typer:
-    """Return a program of the one command that is asked for, because typer builds all; all where none is."""
-    one = copy(program)
-    one.registered_commands = [of for of in program.registered_commands if [of.name] == sys.argv[1:2]]
-    one.registered_groups = []
-    return one if one.registered_commands else program
 
 
 def _misused(error: Any) -> str:

@@ -108,22 +108,15 @@ class _Callback:
         self.__annotations__: dict[str, object] = {}
 
     @cached_property
-    def _declared(self) -> tuple[dict[str, object], dict[str, Any], bool]:
-        """Annotations and defaults by parameter, and whether the function itself asks to be quiet.
-
-        Every command has the option; what is printed is silenced here, and a command asks for its progress.
-        """
+    def __signature__(self) -> inspect.Signature:
         hints = get_type_hints(self.run, include_extras=True)
         defaults = {p.name: p.default for p in inspect.signature(self.run).parameters.values()}
         hints.pop("return")
-        asks = any(one.name == "quiet" for one in _parameters(hints, defaults))
-        if not asks:
+        # Every command has the option; what is printed is silenced here, and a command asks for its progress.
+        self.asks = any(one.name == "quiet" for one in _parameters(hints, defaults))
+        if not self.asks:
             hints["quiet"], defaults["quiet"] = Quiet, False
-        return hints, defaults, asks
-
-    @cached_property
-    def __signature__(self) -> inspect.Signature:
-        hints, defaults, _ = self._declared
+        self.hints = hints
         option = typer.Option(
             "--plugin", help="Python file with a model of your own.", metavar="FILE.py",
             rich_help_panel=None if self.__name__ == "fit" else MORE,
@@ -140,10 +133,9 @@ class _Callback:
             run_file(file, "that calls sysid.model")
         # An option that the user leaves out keeps the default of the dataclass or function.
         stated = {name: value for name, value in given.items() if value is not None}
-        hints, _, asks = self._declared
-        values = field_values(hints, stated, _value)
+        values = field_values(self.hints, stated, _value)
         mute = stated.get("quiet") and not stated.get("json")
-        if not asks:
+        if not self.asks:
             values.pop("quiet", None)
         try:
             with heard_interrupts(), redirect_stdout(None) if mute else nullcontext():

@@ -95,17 +95,14 @@ def read_maps(path: Path) -> MapFile:
             checked = bool(group.attrs["checked"])
             uncertain = group["uncertain"][()] if checked else outcome < 0
             arrays = (outcome, distance, time, uncertain)
-            more: dict[str, Any] = {"law": str(group.attrs["law"]), "numbers": _numbers(group)}
-            maps.append(LandingMap(*_head(group), *arrays, checked=checked, **more))
+            numbers = {name: values[()] for name, values in group.get("numbers", {}).items()}
+            law = str(group.attrs["law"])
+            maps.append(LandingMap(*_head(group), *arrays, checked=checked, law=law, numbers=numbers))
         impulses = tuple(
             ImpulseMap(*_head(group), {name: group[name][()] for name in UNITS})
             for group in numbered(file, "impulses")
         )
         return MapFile(tuple(maps), impulses, settings, provenance)
-
-
-def _numbers(group: h5py.Group) -> dict[str, FloatArray]:
-    return {name: values[()] for name, values in group.get("numbers", {}).items()}
 
 
 def _head(group: h5py.Group) -> tuple[str, str, tuple[str, ...], FloatArray, FloatArray]:

@@ -154,8 +154,7 @@ def _compared(part, sensors, taps, time, start, step, valid, every, out, signal)
                 further_after = sorted_samples[_place(places[3], stride, width) :]
                 for i in range(time.size):
                     total[i] += tap * (before[i] + after[i]) + other * (further_before[i] + further_after[i])
-            # As a whole column it would compile numba's message on arrays of two lengths, for two seconds.
-            for i in range(time.size):
+            for i in range(time.size):  # as a column: two seconds more of compilation, for an error message
                 out[i, c] = total[i]
         return
     for c in range(2):

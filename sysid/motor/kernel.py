@@ -328,8 +328,7 @@ def integrate(
     current_floor = 0.1 * min(torque_scale / k_m, k_v * speed_scale / res)
 
     charge = 0.0
-    # Constants would have numba compile what takes them once more.
-    done = at_sample = at_edge = np.int64(0)
+    done = at_sample = at_edge = np.int64(0)  # a constant would compile all that takes it once more
     tried = 0
     idle = 0
     status = DONE

@@ -269,7 +269,8 @@ def _known_values(
     stated: dict[str, str] = {}
     (stated if motor.reference_voltage is None else measured)["reference_voltage"] = voltage_source
     if motor.kv is not None:
-        values |= dict.fromkeys(CONSTANTS, _inverse(motor.kv))
+        kv, assumed = motor.kv, getattr(motor.kv, "assumed", "")
+        values |= dict.fromkeys(CONSTANTS, Stated(1.0 / kv, error_of(kv) / kv**2, assumed))
         stated |= dict.fromkeys(CONSTANTS, "campaign: 1/motor.kv, a rating")
         if current is not None and abs(current.value * motor.kv - 1.0) > _SCALE_AGREES:
             notice(
@@ -301,11 +302,6 @@ def _known_values(
             values[name] = value
             measured[name] = f"campaign: motor.{name}"
     return values, measured, stated
-
-
-def _inverse(kv: float) -> Stated:
-    """Return k [V·s/rad] of a Kv [rad/s/V], with its error."""
-    return Stated(1.0 / kv, error_of(kv) / kv**2, kv.assumed if isinstance(kv, Stated) else "")
 
 
 def untested_rows(campaign: MotorCampaign, bench: Bench) -> tuple[str, ...]:

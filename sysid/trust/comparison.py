@@ -102,7 +102,7 @@ def compare_values(
             if len(judged) == 2:
                 by, values = "profile intervals", [row.refined for row in judged]
                 reach = [
-                    _reach(row, value < other)
+                    max(0.0, row.high - row.refined if value < other else row.refined - row.low)
                     for row, value, other in zip(judged, values, values[::-1], strict=True)
                 ]
             else:
@@ -148,8 +148,3 @@ def unjudged(differences: Sequence[Difference]) -> list[str]:
         if row.doubt:
             why.setdefault(row.doubt, []).append(row.symbol)
     return [f"not judged: {', '.join(dict.fromkeys(of))} ({reason})" for reason, of in why.items()]
-
-
-def _reach(row: FreeParameter, up: bool) -> float:
-    """Return how far a value may be off on one side, at 95 %; infinite where the interval is open."""
-    return max(0.0, row.high - row.refined if up else row.refined - row.low)
