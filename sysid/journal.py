@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Literal, Self, TextIO
+from typing import Any, Literal, Self
 
 from sysid.errors import FitError, LogError, SysidWarning, printable
 
@@ -96,18 +96,11 @@ def heard_warnings(hear: Callable[[str], None]) -> Iterator[None]:
     with warnings.catch_warnings():
         show = warnings.showwarning
 
-        def hear_or_show(
-            message: Warning | str,
-            category: type[Warning],
-            filename: str,
-            lineno: int,
-            file: TextIO | None = None,
-            line: str | None = None,
-        ) -> None:
+        def hear_or_show(message: Warning | str, category: type[Warning], *more: Any, **named: Any) -> None:
             if issubclass(category, SysidWarning):
                 hear(str(message))
             else:
-                show(message, category, filename, lineno, file, line)
+                show(message, category, *more, **named)
 
         warnings.showwarning = hear_or_show
         yield

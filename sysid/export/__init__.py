@@ -32,8 +32,6 @@ _WRITERS = {
     ".mat": binary.to_mat,
 }
 SUFFIXES = tuple(_WRITERS)
-# Remedy and error of a fit that the table of its model excludes.
-_OF_FIT = "restore fit.h5, or run the fit again", FitError
 
 
 def export(sets: ParameterSets, path: str | Path) -> Path:
@@ -70,7 +68,7 @@ def load_parameter_sets(path: str | Path) -> ParameterSets:
     missing = not (file.suffix or file.exists())
     if file.is_dir() or missing or (of_fit and schema_of(beside, ExportError) == FIT_FILE.schema):
         sets = with_intervals(read_sets(folder), folder)
-        _judge(sets, folder, *_OF_FIT)
+        _judge(sets, folder)
         return sets
     try:
         data = file.read_bytes()
@@ -110,11 +108,14 @@ def read_judged_fit(path: str | Path) -> FitResult:
     Raises FitError where `read_fit` does, or the table of the fit's model excludes a unit or a value.
     """
     result = read_fit(path)
-    _judge(result, path, *_OF_FIT)
+    _judge(result, path)
     return result
 
 
-def _judge(sets: SetsContent, file: str | Path, remedy: str, error_type: type[SysidError]) -> None:
+def _judge(
+    sets: SetsContent, file: str | Path, remedy: str = "restore fit.h5, or run the fit again",
+    error_type: type[SysidError] = FitError,
+) -> None:  # fmt: skip
     """Refuse units and values that the table of the sets' model excludes.
 
     NaN is a number that nothing determined; what needs it refuses it.

@@ -39,28 +39,26 @@ def list_fits(folder: str | Path) -> list[FitEntry]:
     """
     folder = Path(folder)
     entries: dict[str, FitEntry] = {}
-    for pattern in ("*", "*/*"):
-        for path in folder.glob(f"{pattern}/fit.h5"):
-            name = path.parent.relative_to(folder).as_posix()
-            changed = path.stat().st_mtime
-            try:
-                with FIT_FILE.opened(path) as file:
-                    check_unchanged(path.parent)
-                    nrmse = float(file["sets/nrmse"][()].min())
-                    state, begun = str(file.attrs["state"]), numbered(file, "runs")
-                    ended = {numbered(run, "stages")[-1].attrs["stop_reason"] for run in begun}
-                    if state == "done" and ended & {"evaluations", "generations"}:
-                        state = "cut"
-                    entries[name] = FitEntry(name, state, nrmse, len(begun), changed)
-            except FitError:
-                entries[name] = FitEntry(name, "damaged", None, 0, changed)
-    for pattern in ("*", "*/*"):
-        for path in folder.glob(pattern + Checkpoint.SUFFIX):
-            if Checkpoint.kept(path):
-                name = path.relative_to(folder).as_posix().removesuffix(Checkpoint.SUFFIX)
-                runs, lowest, changed = glance(path)
-                state = {True: "running", False: "stopped", None: "unfinished"}[in_use(path)]
-                entries[name] = FitEntry(name, state, lowest, runs, changed)
+    for path in (*folder.glob("*/fit.h5"), *folder.glob("*/*/fit.h5")):
+        name = path.parent.relative_to(folder).as_posix()
+        changed = path.stat().st_mtime
+        try:
+            with FIT_FILE.opened(path) as file:
+                check_unchanged(path.parent)
+                nrmse = float(file["sets/nrmse"][()].min())
+                state, begun = str(file.attrs["state"]), numbered(file, "runs")
+                ended = {numbered(run, "stages")[-1].attrs["stop_reason"] for run in begun}
+                if state == "done" and ended & {"evaluations", "generations"}:
+                    state = "cut"
+                entries[name] = FitEntry(name, state, nrmse, len(begun), changed)
+        except FitError:
+            entries[name] = FitEntry(name, "damaged", None, 0, changed)
+    for path in (*folder.glob(f"*{Checkpoint.SUFFIX}"), *folder.glob(f"*/*{Checkpoint.SUFFIX}")):
+        if Checkpoint.kept(path):
+            name = path.relative_to(folder).as_posix().removesuffix(Checkpoint.SUFFIX)
+            runs, lowest, changed = glance(path)
+            state = {True: "running", False: "stopped", None: "unfinished"}[in_use(path)]
+            entries[name] = FitEntry(name, state, lowest, runs, changed)
     return [entries[name] for name in sorted(entries)]
 
 
