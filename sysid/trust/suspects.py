@@ -57,7 +57,7 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
     findings: list[Finding] = []
     evaluations = 0
     if sets:
-        points, evaluations = _freed(problem, linear, sets, wrong)
+        points, evaluations = _freed(problem, linear, sets, rows)
         *tried, as_stated = [adequacy(problem, row) for row in space.full(points)]
         if wrong and lacks and tried[0].verdict == NOT_BY:
             rows = [row.model_copy(update={"contradicted": False}) for row in rows]
@@ -114,33 +114,35 @@ def without_accused(
 
 
 def _freed(
-    problem: Problem, linear: Linearized, sets: Sequence[Sequence[str]], wrong: Sequence[str]
+    problem: Problem, linear: Linearized, sets: Sequence[Sequence[str]], rows: Sequence[StatedValue]
 ) -> tuple[FloatArray, int]:
-    """Return where fits end of which each set is not stated, and last the fit with `wrong` as stated.
+    """Return where fits end of which each set is not stated, and last the fit with the wrong as stated.
 
-    Points (F + 1, n) [unit cube], and how many were simulated.
+    Points (F + 1, n) [unit cube], and how many were simulated. The first set walks from what its values are
+    in the fit and from what the trials ask for: a statement that has not let go may lie beyond a ridge.
     """
     space, stop = problem.space, problem.blocks[-1].stop
     places = {name: i for i, name in enumerate(space.stated)}
-    weights = np.ones((len(sets) + 1, len(linear.scale)))
-    for f, names in enumerate(sets):
+    weights = np.ones((len(sets) + 2, len(linear.scale)))
+    for f, names in enumerate([*sets, sets[0]]):
         weights[f, [stop + places[name] for name in names]] = 0.0
-    starts, fixed = (
-        np.repeat(linear.point[None], len(weights), axis=0),
-        np.zeros((len(weights), len(linear.point)), bool),
-    )
-    stated = np.clip(
-        space.encode(np.array([space.stated.get(row.name, row.nominal) for row in space.free])), 0, 1
-    )
-    for name in wrong:
-        column = space.names.index(name)
-        starts[-1, column], fixed[-1, column] = stated[column], True
+    starts = np.repeat(linear.point[None], len(weights), axis=0)
+    fixed = np.zeros(starts.shape, bool)
+    values = np.repeat(space.decode(starts[:1]), 2, axis=0)
+    for row in rows:
+        if row.contradicted:
+            column = space.names.index(row.name)
+            values[:, column], fixed[-1, column] = (row.asked, row.stated), True
+    starts[-2:] = np.clip(space.encode(values), 0, 1)
     solved = solve(
         problem, starts, linear.scale, rise=linear.jacobian.rise, curvature=linear.information.curvature,
         fixed=fixed, kept=linear.kept(space), weights=lambda part: weights[part], tolerance=linear.tolerance,
         iterations=_ITERATIONS,
     )  # fmt: skip
-    return solved.points, solved.evaluations
+    points = np.delete(solved.points, -2, axis=0)
+    if solved.squares[-2] < solved.squares[0]:
+        points[0] = solved.points[-2]
+    return points, solved.evaluations
 
 
 def _trials(problem: Problem, before: Adequacy, without: Solved) -> list[Suspect]:
