@@ -140,7 +140,10 @@ class _Callback:
         try:
             with heard_interrupts(), redirect_stdout(None) if mute else nullcontext():
                 code = self.run(**values)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, RuntimeError) as error:
+            # Python 3.11 hands on an interrupt in the making of a class as the cause of another error.
+            if not any(isinstance(one, KeyboardInterrupt) for one in (error, error.__cause__)):
+                raise
             # typer would end without a word.
             typer.echo("stopped by the user", err=True)
             code = 130

@@ -117,6 +117,22 @@ def test_ctrl_c_outlives_a_compiler_that_swallows_exceptions(monkeypatch, run):
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_ctrl_c_in_the_making_of_a_class_stops_a_command(monkeypatch, run):
+    """Python 3.11 wraps what `__set_name__` raises: pandas, being imported, was stopped by a RuntimeError."""
+    app = typer.Typer()
+
+    class Named:
+        def __set_name__(self, owner: type, name: str) -> None:
+            raise KeyboardInterrupt
+
+    @command(app, "make", "sysid make")
+    def make() -> None:
+        type("Made", (), {"field": Named()})
+
+    monkeypatch.setattr("sysid.cli.app", app)
+    assert run() == (130, "", "stopped by the user\n")
+
+
 def test_new_campaign_writes_a_template(tmp_path, run, refused):
     target = tmp_path / "mine.toml"
     code, out, _ = run("new-campaign", "motor", "--out", target)
