@@ -273,7 +273,7 @@ STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 
 # The first windows were fitted with stated values as they are stated. Where these were wrong, a later bounce
 # may have ended in a dent, so the best front walks again with what it made of them.
 _AGAIN = ((0.25, 1, 5, False), (0.5, 1, 5, False), (0.75, 1, 5, False), (1.0, 1, 6, False))
-# Residual over noise of a channel of a trial from which on that is tried [1].
+# Least residual over noise of a channel of a trial with which the best front walks again [1].
 _DENT = 2.0
 
 

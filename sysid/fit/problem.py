@@ -223,8 +223,8 @@ class Problem(ABC):
     def residuals(self, cube: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return residuals (P, m) in units of each channel's spread [1], and which points failed (P,).
 
-        The last ones are those of stated values, see `SearchSpace.misses`. Those of a failed point are finite
-        and mean nothing.
+        The last residuals are those of the stated values, see `SearchSpace.misses`. The residuals of a failed
+        point are finite and mean nothing.
         """
         return self.compared(self.space.full(cube))
 

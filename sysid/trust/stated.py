@@ -57,8 +57,8 @@ class _Judged:
     def of(cls, space: SearchSpace, linear: Linearized) -> _Judged:
         """Return what is stated in a space at its minimum; a parameter at a bound does not move.
 
-        A statement that has let go (`SearchSpace.misses`) is drawn back first, as a square would: only then
-        do values that explain the trials equally well look alike.
+        A statement beyond three standard errors hardly pulls (`SearchSpace.misses`). Here it first gets the
+        pull of a square: only then do values that explain the trials equally well look alike.
         """
         count = len(space.stated)
         errors = np.array([value.error for value in space.stated.values()])

@@ -116,7 +116,7 @@ def without_accused(
 def _freed(
     problem: Problem, linear: Linearized, sets: Sequence[Sequence[str]], rows: Sequence[StatedValue]
 ) -> tuple[FloatArray, int]:
-    """Return where fits end of which each set is not stated, and last the fit with the wrong as stated.
+    """Return where fits end, each without the statements of one set; in the last the wrong are as stated.
 
     Points (F + 1, n) [unit cube], and how many were simulated. The first set walks from what its values are
     in the fit and from what the trials ask for: a statement that has not let go may lie beyond a ridge.
