@@ -11,6 +11,7 @@ from sysid.parameter_sets import ParameterSets
 from sysid.parameters import SearchSpace, with_unit
 from sysid.trust.documents import FreeParameter, TrustDocument
 from sysid.trust.linearized import NORMAL_95
+from sysid.types import FloatArray
 
 
 class Difference(Part):
@@ -77,17 +78,25 @@ def known_values(spaces: Sequence[SearchSpace]) -> list[KnownValue]:
 
 
 def compare_values(
-    names: Sequence[str], sets: Sequence[ParameterSets], documents: Sequence[TrustDocument | None]
+    names: Sequence[str],
+    sets: Sequence[ParameterSets],
+    documents: Sequence[TrustDocument | None],
+    correlations: Sequence[FloatArray | None],
 ) -> list[Difference]:
     """Return the difference of every free parameter that two fits share; `names` are the fits'.
 
-    The half-widths of the two intervals, on the sides that face each other, add as the root of their squares:
-    the fits' errors are independent. Without a document of intervals only the spread of the sets is known,
-    which judges nothing: runs that reach one optimum agree whatever the data leave open. Values that neither
-    fit has found are not compared.
+    The half-widths of the two intervals, on the sides that face each other, add as the root of their squares,
+    less what both errors have in common: the error of a value that both campaigns state alike moves both
+    fits. `correlations` (n, n) are of the free parameters and stated values of each document. Without a
+    document of intervals only the spread of the sets is known, which judges nothing: runs that reach one
+    optimum agree whatever the data leave open. Values that neither fit has found are not compared.
     """
     known = [document.by_name if document else {} for document in documents]
     out = []
+    parts = [
+        _parts(document, rho) if document and rho is not None else {}
+        for document, rho in zip(documents, correlations, strict=True)
+    ]
     for pair in combinations(range(len(sets)), 2):
         fits = [names[k] for k in pair]
         # A parameter of a single trial is not compared.
@@ -110,7 +119,11 @@ def compare_values(
                 by, values = "spread of the sets", [float(sets[k].values[0, i]) for k, i in columns]
                 sigmas = [float(sets[k].sigma[i]) for k, i in columns]
                 reach = [NORMAL_95 * sigma if math.isfinite(sigma) else math.inf for sigma in sigmas]
+            one, other = (parts[k].get(name, {}) for k in pair)
+            common = min(1.0, sum(one[value] * other[value] for value in one.keys() & other.keys()))
             allowed, distance = math.hypot(*reach), values[1] - values[0]
+            if math.isfinite(allowed):
+                allowed = math.sqrt(allowed**2 - 2 * common * math.prod(reach))
             doubt = _doubt(fits, rows, reach)
             share = distance / values[0] if values[0] else math.nan
             texts = [with_unit(f"{value:.4g}", record.unit) for value in values]
@@ -127,6 +140,24 @@ def compare_values(
                 )
             )  # fmt: skip
     return out
+
+
+def _parts(
+    document: TrustDocument, correlation: FloatArray
+) -> dict[str, dict[tuple[str, float, float], float]]:
+    """Return the part of every parameter's error that each stated value's error makes up [1].
+
+    A statement of one trial is of no other campaign's trial, and one that the trials contradict has let go.
+    """
+    count = len(document.parameters)
+    return {
+        row.name: {
+            (value.name, value.stated, value.error): float(rho) * value.sigma / value.error
+            for rho, value in zip(across[count:], document.stated, strict=True)
+            if not (value.contradicted or value.name.endswith("]"))
+        }
+        for row, across in zip(document.parameters, correlation, strict=False)
+    }
 
 
 def _doubt(names: Sequence[str], rows: Sequence[FreeParameter | None], reach: Sequence[float]) -> str | None:

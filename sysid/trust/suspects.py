@@ -76,13 +76,12 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
         others = _trials(problem, judged, without)
         bad = [one for one in others if one.sentences]
         if len(bad) == 1 and not findings:
-            findings = [
-                Finding("bad-trial", bad[0].sentences[0], trials=tuple(bad[0].names), size=judged.ratio)
-            ]
+            trial = Finding("bad-trial", bad[0].sentences[0], trials=tuple(bad[0].names), size=judged.ratio)
             again = _without(problem, without.points[problem.names.index(bad[0].names[0])], bad[0])
             accusing = {row.name: row for row in again.stated if row.contradicted}
             rows = [accusing.get(row.name, row) for row in rows]
-            findings += again.findings
+            # A wrong value is the likelier cause of both.
+            findings = [*again.findings, trial]
             others += again.suspects
             evaluations += again.evaluations
         else:

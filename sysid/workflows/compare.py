@@ -16,7 +16,7 @@ from sysid.report.set_tables import mean_sigma_table
 from sysid.report.trust_tables import comparison_table, cross_table, known_table
 from sysid.storage import check_file, write_file
 from sysid.trust.comparison import Comparison, compare_values, known_values, unjudged
-from sysid.trust.documents import TrustDocument, with_intervals
+from sysid.trust.documents import TRUST, TrustDocument, read_arrays, with_intervals
 from sysid.types import FloatArray
 from sysid.workflows.predict import open_under, predict
 from sysid.workflows.reopen import OpenedFit, open_fit
@@ -76,7 +76,11 @@ def compare_fits(
                 f"{', '.join(missing)}: no profile intervals, so no difference is judged (runs that reach "
                 "one optimum agree whatever the data leave open); run sysid trust on each"
             )
-        differences = compare_values(names, sets, documents)
+        correlations = [
+            None if document is None else read_arrays(fit.folder, TRUST).get("correlation")
+            for fit, document in zip(opened, documents, strict=True)
+        ]
+        differences = compare_values(names, sets, documents, correlations)
         table, overlaid = _cross(opened, names, threads) if cross else (None, [[] for _ in opened])
     lines = [row.sentence for row in differences if row.differs]
     lines += unjudged(differences)

@@ -13,6 +13,7 @@ from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.documents import (
     FreeParameter,
+    StatedValue,
     TrustDocument,
     ValidationDocument,
     free_part,
@@ -108,16 +109,16 @@ def _sets(name, value, sigma=0.1, status="free"):
     )  # fmt: skip
 
 
-def _document(value, low, high, opened=(False, False), doubt=None):
+def _document(value, low, high, opened=(False, False), doubt=None, stated=()):
     # The best set lies elsewhere than the minimum that its interval is around.
     row = FreeParameter.model_construct(
         name="leg_mass", value=5.0, refined=value, interval_95=[low, high], open_95=opened, doubt=doubt
     )
-    return TrustDocument.model_construct(parameters=[row])
+    return TrustDocument.model_construct(parameters=[row], stated=stated)
 
 
 def _compare(first, second, documents):
-    return compare_values(("a", "b"), [_sets("a", first), _sets("b", second)], documents)[0]
+    return compare_values(("a", "b"), [_sets("a", first), _sets("b", second)], documents, [None, None])[0]
 
 
 @pytest.mark.parametrize(
@@ -136,6 +137,31 @@ def test_differences_are_judged_by_the_sides_that_face_each_other(second, docume
     first = documents[0].parameters[0].refined
     assert found.differs is (second - first > allowed)
     assert found.difference == pytest.approx((second - first) / first)
+
+
+@pytest.mark.parametrize(
+    ("stated", "error", "contradicted", "name", "common"),
+    [
+        # 0.8 of the first error and 0.6 of the second are the scale's: 0.25 - 2 * 0.48 * 0.3 * 0.4 is left.
+        (1.2, 0.01, False, "body_mass", 0.48),
+        # Another scale's; a statement that has let go; slopes of two campaigns.
+        (1.3, 0.01, False, "body_mass", 0.0),
+        (1.2, 0.02, False, "body_mass", 0.0),
+        (1.2, 0.01, True, "body_mass", 0.0),
+        (1.2, 0.01, False, "slope[drop-1]", 0.0),
+    ],
+)
+def test_an_error_that_both_campaigns_share_makes_no_difference(stated, error, contradicted, name, common):
+    values = [
+        StatedValue.model_construct(
+            name=name, stated=value, error=size, sigma=left * size, contradicted=contradicted
+        )
+        for value, size, left in ((1.2, 0.01, 1.0), (stated, error, 0.75))
+    ]
+    documents = [_document(1.0, 0.0, 1.3, stated=values[:1]), _document(2.0, 1.6, 9.0, stated=values[1:])]
+    sets = [_sets("a", 1.0), _sets("b", 2.0)]
+    found = compare_values(("a", "b"), sets, documents, 2 * [np.array([[1.0, 0.8], [0.8, 1.0]])])[0]
+    assert found.allowed == pytest.approx(math.sqrt(0.25 - 2 * common * 0.3 * 0.4))
 
 
 @pytest.mark.parametrize(
@@ -163,7 +189,9 @@ def test_without_profiles_nothing_is_judged():
     assert found.differs is None
     assert "run sysid trust on a and b" in found.doubt
     assert found.allowed == pytest.approx(1.959964 * 0.1 * math.sqrt(2), rel=1e-6)
-    fixed = compare_values(("a", "b"), [_sets("a", 1.0, status="fixed"), _sets("b", 2.0)], [None, None])
+    fixed = compare_values(
+        ("a", "b"), [_sets("a", 1.0, status="fixed"), _sets("b", 2.0)], *2 * [[None, None]]
+    )
     assert fixed == []
 
 
