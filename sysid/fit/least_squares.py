@@ -22,7 +22,7 @@ from typing import Protocol
 import numpy as np
 
 from sysid.fit.breeders.breeder import Breeder, Start
-from sysid.fit.derivatives import Layout, displaced
+from sysid.fit.derivatives import Displacements, Layout, displaced
 from sysid.fit.problem import Problem
 from sysid.fit.stopping import StopReason
 from sysid.fit.trial import Block
@@ -34,8 +34,8 @@ _DAMPING = (1e-8, 1e-3, 1e6)
 # Rise of the finisher's cost along a difference step [1]: a step of 0.3 times the distance along which the
 # NRMSE changes by 0.1 %.
 RISE = 1.8e-4
-# Iterations after which the derivatives by stated values are taken again.
-_REFRESHED = 4
+# Share of what derivatives promise with which a step says that they mislead [1].
+_MISLED = 0.25
 # Starts closer than this in every coordinate count as one [unit cube].
 _SAME_START = 0.05
 # A front of the finisher has converged when a step takes less than this share off its cost.
@@ -106,7 +106,7 @@ def descend(
     *,
     rise: float = RISE,
     fixed: BoolArray | None = None,
-    kept: FloatArray | None = None,
+    known: FloatArray | None = None,
     central: bool = True,
     tolerance: float,
     iterations: int,
@@ -114,83 +114,118 @@ def descend(
     """Walk downhill, every front by at most `iterations` steps.
 
     The cost rises by about `rise` along each displacement of a difference quotient, see
-    `sysid.fit.derivatives`. Coordinates that are `fixed` (F, n) keep their value. `kept` (S, m) are the
-    derivatives by the last S coordinates at every point; by default those by stated values are taken at every
-    fourth step. `central` differences cost two simulations each, one-sided ones cost one. A front has
-    converged when two steps in a row reduce its cost by less than the `tolerance`.
+    `sysid.fit.derivatives`. Coordinates that are `fixed` (F, n) keep their value. `central` differences cost
+    two simulations each, one-sided ones cost one. They are taken at the start, but of coordinates by which
+    derivatives (F, n, m) are `known` there (NaN: not known). Then every step corrects the derivatives, in
+    place, by what it has met (`_corrected`), and differences are taken again only where a step gains much
+    less than was promised, by stated values never: these derivatives hardly bend. A front has converged when
+    two steps in a row reduce its cost by less than the `tolerance`.
     """
     points, cost = fronts.points, fronts.cost
     count, n = points.shape
     fixed = np.zeros(points.shape, dtype=np.bool_) if fixed is None else fixed
-    known: dict[int, FloatArray] = {}
     damping = np.full(count, _DAMPING[1])
     little = np.zeros(count, dtype=np.int64)
     fronts.converged[:] = False
     current, failed = yield points
     cost[:] = np.where(failed, np.inf, weighing.cost(slice(None), current))
-    for iteration in range(iterations):
+    derivatives = np.full((*points.shape, current.shape[1]), np.nan) if known is None else known
+    doubted = np.asarray(np.isnan(derivatives[:, :, 0]).any(axis=1))
+    usable = np.ones(points.shape, dtype=np.bool_)
+    for _ in range(iterations):
         walking = np.flatnonzero(~fronts.converged & np.isfinite(cost))
         numbers: list[int] = walking.tolist()
         if not numbers:
             return
-        at = points[walking]
-        moves = []
-        for f, front in enumerate(numbers):
-            asked, bent = ~fixed[front], fronts.curvature[front]
-            if kept is not None:
-                asked[n - len(kept) :] = False
-            elif iteration % _REFRESHED:
-                asked[n - layout.stated :] = False
-            moves.append(
-                displaced(at[f], bent, layout, asked=asked, still=fixed[front], rise=rise, central=central)
-            )
-        asked_for = np.concatenate([move.points for move in moves])
+        moves: dict[int, Displacements] = {}
+        for front in numbers:
+            if doubted[front]:
+                asked, unknown = ~fixed[front], np.isnan(derivatives[front][:, 0])
+                if unknown.any():
+                    asked &= unknown
+                    derivatives[front][unknown] = 0.0
+                else:
+                    asked[n - layout.stated :] = False
+                moves[front] = displaced(
+                    points[front], fronts.curvature[front], layout, asked=asked, still=fixed[front],
+                    rise=rise, central=central,
+                )  # fmt: skip
+        asked_for = np.concatenate([points[:0], *(move.points for move in moves.values())])
         values, failed = (yield asked_for) if len(asked_for) else (current[:0], failed[:0])
         last = 0
-        trials = np.repeat(at[:, None], len(_FACTORS), axis=1)
-        promised = np.zeros(len(walking))
+        trials = np.repeat(points[walking, None], len(_FACTORS), axis=1)
+        promised = np.zeros((len(walking), len(_FACTORS)))
         for f, front in enumerate(numbers):
-            first, last = last, last + len(moves[f].points)
-            if iteration == 0:
-                known[front] = np.zeros((n, values.shape[1]))
-                if kept is not None:
-                    known[front][n - len(kept) :] = kept
-            columns, usable = moves[f].columns(
-                current[front], values[first:last], failed[first:last], known[front]
-            )
-            known[front] = columns
+            at = points[front]
+            if front in moves:
+                first, last = last, last + len(moves[front].points)
+                derivatives[front], usable[front] = moves[front].columns(
+                    current[front], values[first:last], failed[first:last], derivatives[front]
+                )
             scale = weighing.scale(front, current[front])
-            weighted = columns * scale
+            weighted = derivatives[front] * scale
             gradient = np.einsum("im,m->i", weighted, current[front] * scale)
             curvature = fronts.curvature[front] = np.einsum("im,jm->ij", weighted, weighted)
             # A coordinate at its bound whose descent leads out of the cube stays there.
-            stuck = ((at[f] <= 0) & (gradient > 0)) | ((at[f] >= 1) & (gradient < 0)) | ~usable | fixed[front]
+            stuck = (
+                ((at <= 0) & (gradient > 0)) | ((at >= 1) & (gradient < 0)) | ~usable[front] | fixed[front]
+            )
             free = np.flatnonzero(~stuck)
             inner = curvature[np.ix_(free, free)]
             for k, times in enumerate(_FACTORS[: len(_FACTORS) if len(free) else 0]):
                 # A coordinate that the data hardly see must not be thrown across the cube by the noise of its
                 # derivative: a way of half the cube costs the tolerance.
                 damped = damping[front] * times * np.diag(inner) + 4 * tolerance
-                step = _inside(inner + np.diag(damped), gradient[free], at[f, free])
+                step = _inside(inner + np.diag(damped), gradient[free], at[free])
                 trials[f, k, free] += step
-                # Loss of the cost that the last, most damped step promises.
-                promised[f] = -(2 * gradient[free] @ step + step @ inner @ step)
+                promised[f, k] = -(2 * gradient[free] @ step + step @ inner @ step)
         values, failed = yield trials.reshape(-1, n)
         values = values.reshape(len(walking), len(_FACTORS), -1)
+        failed = failed.reshape(len(walking), len(_FACTORS))
         reached = weighing.cost(walking, values)
-        reached[failed.reshape(reached.shape)] = np.inf
+        reached[failed] = np.inf
         best = np.argmin(reached, axis=1)
         for f, front in enumerate(numbers):
-            gain = cost[front] - reached[f, best[f]]
+            k = best[f]
+            gain = cost[front] - reached[f, k]
+            # Differences are not taken twice at a point.
+            mislead = promised[f, k] > tolerance and gain < _MISLED * promised[f, k]
+            doubted[front] = mislead and front not in moves and not failed[f, k]
+            if not failed[f, k]:
+                derivatives[front] = _corrected(
+                    derivatives[front], trials[f, k] - points[front], values[f, k] - current[front],
+                    fronts.curvature[front], layout, rise,
+                )  # fmt: skip
+            if doubted[front] and gain <= 0:
+                continue
             if gain > 0:
-                points[front], cost[front] = trials[f, best[f]], reached[f, best[f]]
-                current[front] = values[f, best[f]]
-            factor = _FACTORS[best[f]] if gain > 0 else 100.0
+                points[front], cost[front], current[front] = trials[f, k], reached[f, k], values[f, k]
+            factor = _FACTORS[k] if gain > 0 else 100.0
             damping[front] = np.clip(damping[front] * factor, _DAMPING[0], _DAMPING[2])
             # A step that fails although it promises much was too long: damped more, it is tried again.
-            if gain > 0 or promised[f] < tolerance:
+            if gain > 0 or promised[f, -1] < tolerance:
                 little[front] = little[front] + 1 if gain < tolerance else 0
             fronts.converged[front] = bool(little[front] == 2)
+
+
+def _corrected(
+    derivatives: FloatArray,
+    step: FloatArray,
+    change: FloatArray,
+    curvature: FloatArray,
+    layout: Layout,
+    rise: float,
+) -> FloatArray:
+    """Return derivatives (n, m) that agree with the `change` (m,) of the residuals along a `step` (n,).
+
+    The least change that does so (Broyden 1965, for residuals of one trial Schubert 1970), where coordinates
+    count by their `curvature` (n, n). A step along which the cost rises by less than `rise` says little: the
+    cost is rough.
+    """
+    concerns = (layout.kinds[:, None] < 0) | (layout.trials[:, None] == layout.residuals)
+    along = np.diag(curvature)[:, None] * step[:, None] * concerns
+    share = (change - step @ derivatives) / (step @ along + rise)
+    return np.asarray(derivatives + along * share)
 
 
 def drive(walk: Walk, residuals: Callable[[FloatArray], tuple[FloatArray, BoolArray]]) -> int:
@@ -269,10 +304,10 @@ class MeanNrmse:
 
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
-STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
+STAGES = ((0.15, 6, 10, False), (0.4, 4, 9, False), (1.0, 3, 10, False), (1.0, 2, 12, True))
 # The first windows were fitted with stated values as they are stated. Where these were wrong, a later bounce
 # may have ended in a dent, so the best front walks again with what it made of them.
-_AGAIN = ((0.25, 1, 5, False), (0.5, 1, 5, False), (0.75, 1, 5, False), (1.0, 1, 6, False))
+_AGAIN = ((0.25, 1, 9, False), (0.5, 1, 9, False), (0.75, 1, 9, False), (1.0, 1, 10, False))
 # Least residual over noise of a channel of a trial with which the best front walks again [1].
 _DENT = 2.0
 

@@ -68,7 +68,8 @@ def linearize(problem: Problem, start: FloatArray, kept: FloatArray | None = Non
         before = linear
         solved = solve(
             problem, linear.point[None], linear.scale, rise=linear.jacobian.rise,
-            curvature=linear.information.curvature, tolerance=linear.tolerance, iterations=20, kept=kept,
+            curvature=linear.information.curvature, tolerance=linear.tolerance, iterations=20,
+            known=linear.derivatives,
         )  # fmt: skip
         linear = _linearized(problem, solved.points[0], kept)
         moved = np.abs(linear.point - before.point) / np.maximum(before.information.sigma, 1e-12)
@@ -118,7 +119,7 @@ def refit(
         return solve(
             problem, starts, linear.scale, rise=linear.jacobian.rise,
             curvature=linear.information.curvature, tolerance=tolerance, iterations=iterations,
-            kept=linear.kept(problem.space),
+            known=linear.derivatives,
             weights=lambda part: trial_rows(problem.blocks, weights[part], len(linear.scale)),
         )  # fmt: skip
 

@@ -260,7 +260,7 @@ class Climber:
         weights_of = np.pad(1.0 - left, ((0, 0), (0, len(residuals) - left.shape[1])), constant_values=1.0)
         solved = solve(
             problem, np.repeat(point[None], count, axis=0), scale, rise=RISE,
-            weights=lambda part: weights_of[part], kept=columns,
+            weights=lambda part: weights_of[part], known=columns,
             tolerance=TOLERANCE, iterations=_ITERATIONS_WITHOUT,
         )  # fmt: skip
         self.evaluations += solved.evaluations + count

@@ -42,14 +42,15 @@ def solve(
     rise: float,
     curvature: FloatArray | None = None,
     fixed: BoolArray | None = None,
-    kept: FloatArray | None = None,
+    known: FloatArray | None = None,
     weights: Callable[[slice], FloatArray] | None = None,
     tolerance: float = 1e-3,
     iterations: int = 12,
 ) -> Solved:
     """Minimize the sum of squares of residuals times `scale` (m,) from `starts` (F, n) [unit cube].
 
-    `rise`, `fixed` (F, n) and `kept` as for `descend`; `curvature` (n, n) of the sum at the starts, if known.
+    `rise` and `fixed` (F, n) as for `descend`; `curvature` (n, n) of the sum at the starts and derivatives of
+    the residuals, (n, m) there or (F, n, m) of each front, which the walk corrects, if they are `known`.
     `weights` returns, for a slice of the fronts, further factors (F', m) on the squares of residuals. A front
     has converged when a step takes less than the `tolerance` off its sum of squares.
     """
@@ -61,9 +62,12 @@ def solve(
     for first in range(0, n_fronts, share):
         part = slice(first, min(first + share, n_fronts))
         factor = np.ones((part.stop - part.start, 1)) if weights is None else weights(part)
+        own = known
+        if known is not None:
+            own = known[part] if known.ndim == 3 else np.repeat(known[None], part.stop - part.start, axis=0)
         walk = descend(
             ended.part(part), _Squares(np.sqrt(factor) * scale), problem.layout, rise=rise,
-            fixed=fixed[part], kept=kept, tolerance=tolerance, iterations=iterations,
+            fixed=fixed[part], known=own, tolerance=tolerance, iterations=iterations,
         )  # fmt: skip
         evaluations += drive(walk, problem.residuals)
     return Solved(ended.points, ended.cost, ended.converged, evaluations)

@@ -94,11 +94,10 @@ class Linearized:
     information: Information
     half_widths: FloatArray  # (n,) relative, 95 % [1]
 
-    def kept(self, space: SearchSpace) -> FloatArray | None:
-        """Return the derivatives (S, m) of the residuals by the stated values, which hardly bend."""
-        count = len(space.stated)
-        scale = np.where(self.scale > 0, self.scale, 1.0)
-        return (self.jacobian.values[:, -count:].T / scale) if count else None
+    @property
+    def derivatives(self) -> FloatArray:
+        """(n, m) derivatives of the residuals without weights [1/unit cube]."""
+        return np.asarray(self.jacobian.values.T / np.where(self.scale > 0, self.scale, 1.0))
 
     @property
     def tolerance(self) -> float:

@@ -31,6 +31,8 @@ _MOST_POINTS = 14
 _FARTHEST = 0.15
 # Factor by which steps grow in a flat valley [1].
 _STRETCH = 2.0
+# Largest number of steps of the fit at a point.
+_ITERATIONS = 12
 # Least rise over the last point that is a bump of a rough cost, not a valley's wall [deviance].
 _BUMP = 1.0
 
@@ -84,6 +86,7 @@ class _Side:
     points: list[FloatArray]
     squares: list[float]
     aims: list[float]
+    derivatives: FloatArray
     done: bool = False
     rough: int = 0
 
@@ -91,11 +94,11 @@ class _Side:
 def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profiles:
     """Walk every parameter of which nothing is stated outward; `seed` is for CMA-ES where costs are rough."""
     best, scale, info = linear.point, linear.scale, linear.information
-    n, found, kept = len(best), len(problem.space.found), linear.kept(problem.space)
+    n, found, derivatives = len(best), len(problem.space.found), linear.derivatives
     values, _ = problem.residuals(best[None])
     lowest = float(np.sum((values[0] * scale) ** 2))
     sides = [
-        _Side(i, sign, [best], [lowest], list(_AIMS), done=bool(best[i] == bound))
+        _Side(i, sign, [best], [lowest], list(_AIMS), derivatives.copy(), done=bool(best[i] == bound))
         for i in range(found)
         for sign, bound in ((-1.0, 0.0), (1.0, 1.0))
     ]
@@ -115,13 +118,14 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
             rise = (side.squares[-1] - lowest) / info.inflation[side.parameter]
             starts[f] = _next(side, best, unit, tangent, np.sqrt(max(rise, 0.0)))
             fixed[f, side.parameter] = True
+        known = np.array([side.derivatives for side in moving])
         solved = solve(
             problem, starts, scale, rise=linear.jacobian.rise, curvature=info.curvature, fixed=fixed,
-            kept=kept, tolerance=linear.tolerance, iterations=6,
+            known=known, tolerance=linear.tolerance, iterations=_ITERATIONS,
         )  # fmt: skip
         evaluations += solved.evaluations
         for f, side in enumerate(moving):
-            i = side.parameter
+            i, side.derivatives = side.parameter, known[f]
             point, squares = solved.points[f], float(solved.squares[f])
             last = side.squares[-1]
             aimed = (abs(point[i] - best[i]) / unit[i]) ** 2

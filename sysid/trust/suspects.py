@@ -135,7 +135,7 @@ def _freed(
     starts[-2:] = np.clip(space.encode(values), 0, 1)
     solved = solve(
         problem, starts, linear.scale, rise=linear.jacobian.rise, curvature=linear.information.curvature,
-        fixed=fixed, kept=linear.kept(space), weights=lambda part: weights[part], tolerance=linear.tolerance,
+        fixed=fixed, known=linear.derivatives, weights=lambda part: weights[part], tolerance=linear.tolerance,
         iterations=_ITERATIONS,
     )  # fmt: skip
     points = np.delete(solved.points, -2, axis=0)

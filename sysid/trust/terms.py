@@ -39,9 +39,12 @@ def downhill(problem: Problem, starts: FloatArray, kept: FloatArray | None = Non
 
     `kept` are derivatives by the stated values, see `descend`.
     """
-    fronts = Fronts.at(np.unique(starts, axis=0))
+    fronts, known = Fronts.at(np.unique(starts, axis=0)), None
+    if kept is not None:
+        known = np.full((*fronts.points.shape, kept.shape[1]), np.nan)
+        known[:, -len(kept) :] = kept
     walk = descend(
-        fronts, MeanNrmse(problem), problem.layout, kept=kept, central=False, tolerance=TOLERANCE,
+        fronts, MeanNrmse(problem), problem.layout, known=known, central=False, tolerance=TOLERANCE,
         iterations=_ITERATIONS,
     )  # fmt: skip
     evaluations = drive(walk, problem.residuals)
