@@ -409,9 +409,9 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
                 work[at.FRESH * lanes + lane] = fresh
 
     added, approach = (terms.added, terms.approach) if extended else (terms.nothing_added, terms.no_approach)
-    text = specialized(
-        stages.evaluate, solve=surface.solve, modes=surface.switching, added=added, approach=approach
-    )
+    text = specialized(stages.motion_at, solve=surface.solve, added=added, approach=approach)
+    motion = njit(error_model="numpy", forceinline=True)(text)
+    text = specialized(stages.evaluate, motion=motion, modes=modes)
     stage = njit(error_model="numpy", inline="always")(text)
     bound = specialized(drive, evaluate=stage, after_step=surface.after_step)
     return njit(cache=True, nogil=True, error_model="numpy")(bound)

@@ -13,7 +13,8 @@ from sysid.types import Compiled
 # the step.
 STABLE = 0.9
 
-# Names that a driver binds to a surface's functions, and to `sysid.gear.kernel.terms`.
+# Names that a driver binds: to the motion below, a surface's functions, and `sysid.gear.kernel.terms`.
+motion: Compiled = None  # type: ignore[assignment]
 solve: Compiled = None  # type: ignore[assignment]
 modes = False
 added: Compiled = None  # type: ignore[assignment]
@@ -69,25 +70,22 @@ def law_at(work, p, n):
     return work[p], work[p + n], work[p + 2 * n], work[p + 3 * n], work[p + 4 * n], work[p + 5 * n]
 
 
-@fused
-def evaluate(work, stage, lane, lanes):
-    """Accelerations of one lane at a stage; stage 0 is never evaluated (first same as last).
+@njit(error_model="numpy", forceinline=True)
+def put(work, row, numbers, lane, lanes):
+    """Write numbers into rows of a lane from `row` on."""
+    for i in range(len(numbers)):
+        work[(row + i) * lanes + lane] = numbers[i]
 
-    A text, compiled once per surface: `solve` belongs to the friction law, `modes` says whether it switches.
+
+@fused
+def motion_at(state, rates, share, work, lane, lanes):
+    """Accelerations of one lane in a state, `share` of the step after its start, and what its feet do.
+
+    That is (normal forces, slips, required frictions) of rear and front, their frictions, and the inverse of
+    the longest stable step [1/s], for a stage that needs them. A text, compiled once per surface and inlined
+    in every stage: `solve` belongs to the friction law.
     """
-    s, s_rate = advanced(work, stage, at.S, lane, lanes)
-    w, w_rate = advanced(work, stage, at.W, lane, lanes)
-    phi, omega = advanced(work, stage, at.PHI, lane, lanes)
-    h_c, h_c_rate = advanced(work, stage, at.H_C, lane, lanes)
-    theta_c, theta_c_rate = advanced(work, stage, at.THETA_C, lane, lanes)
-    h_d, h_d_rate = advanced(work, stage, at.H_D, lane, lanes)
-    theta_d, theta_d_rate = advanced(work, stage, at.THETA_D, lane, lanes)
-    rates = (s_rate, w_rate, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate)
-    if stage == STAGES:
-        state = (s, w, phi, h_c, theta_c, h_d, theta_d)
-        for i in range(at.COORDINATES):
-            work[(at.END + i) * lanes + lane] = state[i]
-            work[(at.END + at.COORDINATES + i) * lanes + lane] = rates[i]
+    _, w, phi, h_c, theta_c, h_d, theta_d = state
     coefficients = coefficients_at(work, at.COEFFICIENTS * lanes + lane, lanes)
     law = law_at(work, at.LAW * lanes + lane, lanes)
     mode = (
@@ -95,7 +93,7 @@ def evaluate(work, stage, lane, lanes):
         work[at.WAY * lanes + lane], work[(at.WAY + 1) * lanes + lane],
     )  # fmt: skip
     time, step = work[at.TIME * lanes + lane], work[at.STEP * lanes + lane]
-    elapsed = time + C[stage] * step - work[at.ORIGIN * lanes + lane]
+    elapsed = time + share * step - work[at.ORIGIN * lanes + lane]
     lift, tilt = cubic(work, at.LIFT, elapsed, lane, lanes), cubic(work, at.TILT, elapsed, lane, lanes)
     joints = pose(phi, theta_c, theta_d, coefficients.dx_j, coefficients.dz_j)
     p_c, dp_c, v_c, p_d, dp_d, v_d = feet(joints, w, h_c, h_d, rates, coefficients.length)
@@ -106,30 +104,38 @@ def evaluate(work, stage, lane, lanes):
     angles = (phi, h_c, theta_c, h_d, theta_d)
     axial_c, axial_d, moment_c, moment_d, drag, decay = added(angles, rates, coefficients, work, lane, lanes)
     loads = (lift, tilt + drag, axial_c, axial_d, moment_c, moment_d)
-    acceleration, (f_c, f_d), (required_c, required_d), stiff = solve(
+    acceleration, frictions, required, stiff = solve(
         joints, angles, rates, loads, (n_c, n_d), (v_c, v_d), mode, law, coefficients
     )
+    rate, damping = ringing(joints, h_c, h_d, (n_c, n_d), k_s, coefficients)
+    reach = RING_LIMIT + RING_GAIN * damping
+    rate = rate / (reach if reach < RING_MOST else RING_MOST)
+    stiff = (stiff if stiff > decay else decay) * (1.0 / (STABLE * REAL_LIMIT))
+    stiff = stiff if stiff > rate else rate
+    return acceleration, (n_c, n_d, v_c, v_d, required[0], required[1]), frictions, stiff
+
+
+def evaluate(work, stage, lane, lanes):
+    """Write accelerations of one lane at a stage; stage 0 is never evaluated (first same as last).
+
+    A text: `modes` says whether the friction law has modes, which look at the stages within the step.
+    """
+    s, s_rate = advanced(work, stage, at.S, lane, lanes)
+    w, w_rate = advanced(work, stage, at.W, lane, lanes)
+    phi, omega = advanced(work, stage, at.PHI, lane, lanes)
+    h_c, h_c_rate = advanced(work, stage, at.H_C, lane, lanes)
+    theta_c, theta_c_rate = advanced(work, stage, at.THETA_C, lane, lanes)
+    h_d, h_d_rate = advanced(work, stage, at.H_D, lane, lanes)
+    theta_d, theta_d_rate = advanced(work, stage, at.THETA_D, lane, lanes)
+    state = (s, w, phi, h_c, theta_c, h_d, theta_d)
+    rates = (s_rate, w_rate, omega, h_c_rate, theta_c_rate, h_d_rate, theta_d_rate)
+    acceleration, contact, frictions, stiff = motion(state, rates, C[stage], work, lane, lanes)
+    put(work, at.RATES + at.COORDINATES * stage, acceleration, lane, lanes)
     if stage == STAGES:
-        rate, damping = ringing(joints, h_c, h_d, (n_c, n_d), k_s, coefficients)
-        reach = RING_LIMIT + RING_GAIN * damping
-        rate = rate / (reach if reach < RING_MOST else RING_MOST)
-        stiff = (stiff if stiff > decay else decay) * (1.0 / (STABLE * REAL_LIMIT))
-        work[at.STIFF * lanes + lane] = stiff if stiff > rate else rate
-        work[at.NORMAL * lanes + lane] = n_c
-        work[(at.NORMAL + 1) * lanes + lane] = n_d
-        work[at.SLIP * lanes + lane] = v_c
-        work[(at.SLIP + 1) * lanes + lane] = v_d
-        work[at.FRICTION * lanes + lane] = f_c
-        work[(at.FRICTION + 1) * lanes + lane] = f_d
-        work[at.REQUIRED * lanes + lane] = required_c
-        work[(at.REQUIRED + 1) * lanes + lane] = required_d
+        put(work, at.END, state, lane, lanes)
+        put(work, at.END + at.COORDINATES, rates, lane, lanes)
+        put(work, at.NORMAL, contact, lane, lanes)
+        put(work, at.FRICTION, frictions, lane, lanes)
+        work[at.STIFF * lanes + lane] = stiff
     elif modes:
-        inner = (at.INNER + at.INNER_ROWS * (stage - 1)) * lanes + lane
-        work[inner + at.INNER_NORMAL * lanes] = n_c
-        work[inner + (at.INNER_NORMAL + 1) * lanes] = n_d
-        work[inner + at.INNER_SLIP * lanes] = v_c
-        work[inner + (at.INNER_SLIP + 1) * lanes] = v_d
-        work[inner + at.INNER_REQUIRED * lanes] = required_c
-        work[inner + (at.INNER_REQUIRED + 1) * lanes] = required_d
-    for i in range(at.COORDINATES):
-        work[(at.RATES + at.COORDINATES * stage + i) * lanes + lane] = acceleration[i]
+        put(work, at.INNER + at.INNER_ROWS * (stage - 1), contact, lane, lanes)

@@ -45,8 +45,8 @@ STIFF = _rows()  # inverse of the longest stable step, judged at the step's end 
 # Contact at the step's end, two rows each: rear, front.
 NORMAL = _rows(2)
 SLIP = _rows(2)
-FRICTION = _rows(2)
 REQUIRED = _rows(2)
+FRICTION = _rows(2)
 FRICTION_0 = _rows(2)  # friction at the step's start
 # Modes of the feet under a law with modes, two rows each.
 STUCK = _rows(2)
@@ -64,7 +64,7 @@ FLIPPED = _rows()  # 1 once the body has turned over
 RESTED = _rows()  # 1 once it has come to rest
 MOVED = _rows()  # end of the last step at whose end the body still moved
 HOLD = _rows()  # lane time until which the body counts as moving
-# Numbers of a law with modes at every stage within the step, two rows each: rear, front.
+# The contact of a law with modes at every stage within the step, as from `NORMAL` on.
 INNER_ROWS = 6
 INNER = _rows(INNER_ROWS * (STAGES - 1))
 INNER_NORMAL, INNER_SLIP, INNER_REQUIRED = 0, 2, 4
