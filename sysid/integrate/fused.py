@@ -1,8 +1,9 @@
 """Products that are added to something, as one instruction.
 
-The physics is written as formulas; `fused` rewrites them, before they are compiled, so that ``a*b + c`` and
-its like become one fused multiply-add. A compiler that is allowed to fuse chooses differently for one lane
-and for eight; rewritten formulas are the same in all, so a drop alone and in lanes ends in the same bits.
+The physics is written as formulas; `rewritten` changes them, before they are compiled, so that ``a*b + c``
+and its like become one fused multiply-add. A compiler that is allowed to fuse chooses differently for one
+lane and for eight; rewritten formulas are the same in all, so a drop alone and in lanes ends in the same
+bits.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import types as numba_types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 # Name under which rewritten functions call the fused product.
 _NAME = "_fused_multiply_add"
@@ -99,12 +100,32 @@ def _call(place: ast.AST, *arguments: ast.expr) -> ast.expr:
     return ast.copy_location(ast.Call(function, list(arguments), []), place)
 
 
-def fused(function: Callable[..., object]) -> types.FunctionType:
+# Of a function that only compiled ones call: a door from Python takes as long to compile as what it does.
+INSIDE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+def part(function: Callable[..., object]) -> Any:
+    """Let compiled functions call a function; for Python it stays as it is."""
+    return _inside(function, function, INSIDE)
+
+
+def fused(function: Callable[..., object]) -> Any:
+    """Inline a function in compiled ones, `rewritten`; for Python it stays as it is."""
+    return _inside(function, rewritten(function), {**INSIDE, "forceinline": True})
+
+
+def _inside(function: Any, compiled: object, options: Any) -> Any:
+    # With literals: the compiler unrolls loops over the stages of a step.
+    overload(function, options, strict=False, prefer_literal=True)(lambda *arguments: compiled)
+    return function
+
+
+def rewritten(function: Callable[..., object]) -> types.FunctionType:
     """Return a function, to be compiled, with every product that is added to something fused into the sum.
 
     A sum of two products is left: with one of them rounded and the other not, what the rear and the front leg
     of a level drone do would no longer cancel. In a difference of two products the second is fused. The
-    function stands in a file and has no closure; called from Python the result would be slow.
+    function stands in a file and has no closure.
     """
     lines, first = inspect.getsourcelines(function)
     tree = ast.parse(textwrap.dedent("".join(lines)))

@@ -43,7 +43,7 @@ from sysid.gear.kernel.lane import (
 from sysid.gear.kernel.parameter_row import THRUST_POINT_DX
 from sysid.gear.kernel.stage import law_at
 from sysid.gear.surfaces.surface import Surface, law_text, specialized
-from sysid.integrate.fused import chosen, fused
+from sysid.integrate.fused import INSIDE, chosen, fused, part
 from sysid.integrate.tableau import STAGES, E
 from sysid.types import Compiled
 
@@ -78,7 +78,6 @@ FIRST_STEP = 6e-5
 _SAME = 1e-10
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def _error(work, lane, lanes):
     """Sum of the squared, weighted errors of a step's rates over its length squared."""
@@ -106,7 +105,7 @@ def _advance(work, taken, lane, lanes):
         work[start] = chosen(taken, work[end], work[start])
 
 
-@njit(error_model="numpy")
+@part
 def _mark(marks, marked, time, kind, foot):
     """Write an event without friction into the next free row of `marks`; returns how many rows are used."""
     if marked < len(marks):
@@ -175,11 +174,10 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
         ends = ends_at > 0.0
         logs = 1.0 if len(marks) > 0 else 0.0
         drops = slope.shape[1]
-        work = np.ones(at.ROWS * lanes)
-        job = np.full(lanes, -1, np.int64)
-        cursor = np.zeros(lanes, np.int64)
-        segment = np.zeros(lanes, np.int64)
-        origin = np.zeros(lanes)
+        # Every lane is loaded, with a job or idle.
+        work, origin = np.empty(at.ROWS * lanes), np.empty(lanes)
+        job, cursor = np.empty(lanes, np.int64), np.empty(lanes, np.int64)
+        segment = np.empty(lanes, np.int64)
         per_tolerance = 1.0 / (7.0 * tolerance * tolerance)
         # Arguments that are constants would have numba compile what takes them once for every value.
         to_turn, to_rest = np.int64(TURN), np.int64(MOTION)
@@ -410,7 +408,7 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
 
     added, approach = (terms.added, terms.approach) if extended else (terms.nothing_added, terms.no_approach)
     text = specialized(stages.motion_at, solve=surface.solve, added=added, approach=approach)
-    motion = njit(error_model="numpy", forceinline=True)(text)
+    motion = njit(forceinline=True, **INSIDE)(text)
     text = specialized(stages.evaluate, motion=motion, modes=modes)
     stage = njit(error_model="numpy", inline="always")(text)
     bound = specialized(drive, evaluate=stage, after_step=surface.after_step)
@@ -429,7 +427,7 @@ def force_reader(surface: Surface):
         """
         if sources < 0:  # keeps the sources' hash in the key of the cached code
             return
-        work = np.ones(at.ROWS)
+        work = np.empty(at.ROWS)
         for n in range(len(states)):
             coordinates, rates = states[n, :7], states[n, 7:]
             legs = np.concatenate((coordinates[3:], rates[3:]))

@@ -22,11 +22,10 @@ Eliminating all but the two ``lam`` leaves one symmetric, positive definite 2 x 
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
 
 from sysid.gear.kernel import parameter_row as column
 from sysid.gear.kernel.geometry import foot_motion, joint_position, sine_cosine
-from sysid.integrate.fused import fused
+from sysid.integrate.fused import fused, part
 
 # Numbers of the equations of motion; C is the rear leg, D the front leg. k_h, b_h: axial spring and damper;
 # k_t, b_t: bending; dx_j, dz_j: joints; length, q_n: length and angle of a leg at rest; arm, rho_0:
@@ -39,7 +38,7 @@ Coefficients = namedtuple(
 )
 
 
-@njit(error_model="numpy")
+@part
 def derived(p, slope):
     """`Coefficients` of a row of `sysid.gear.kernel.parameter_row` on a slope [rad]."""
     k_h, b_h = p[column.LEG_AXIAL_STIFFNESS], p[column.LEG_AXIAL_DAMPING]
@@ -62,7 +61,6 @@ def derived(p, slope):
     )  # fmt: skip
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def pose(phi, theta_c, theta_d, dx_j, dz_j):
     """Cosines and sines of both legs' and the body's angles from the slope, and the joints' offsets [m].
@@ -77,7 +75,6 @@ def pose(phi, theta_c, theta_d, dx_j, dz_j):
     return cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w, cos_phi, sin_phi
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def feet(joints, w, h_c, h_d, rates, l):  # noqa: E741
     """Penetration, its rate and slip speed of the rear foot, then of the front foot [m, m/s, m/s]."""
@@ -88,7 +85,6 @@ def feet(joints, w, h_c, h_d, rates, l):  # noqa: E741
     return rear[0], rear[1], rear[2], front[0], front[1], front[2]
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def foot_looseness(joints, h_c, h_d, coefficients):
     """Tangential acceleration of each foot per newton of friction on it [1/kg], estimated from above.
@@ -99,7 +95,6 @@ def foot_looseness(joints, h_c, h_d, coefficients):
     return _looseness(cos_c, sin_c, c_w, cos_d, sin_d, d_w, h_c, h_d, coefficients)
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def _looseness(lever_c, slide_c, arm_c, lever_d, slide_d, arm_d, h_c, h_d, coefficients):
     """Acceleration of each foot per newton on it along a direction [1/kg].
@@ -122,7 +117,6 @@ def _looseness(lever_c, slide_c, arm_c, lever_d, slide_d, arm_d, h_c, h_d, coeff
     return loose_c, loose_d
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def ringing(joints, h_c, h_d, normals, k_s, coefficients):
     """Fastest frequency at which a leg rings between body and ground [rad/s], and its damping ratio.
@@ -141,7 +135,6 @@ def ringing(joints, h_c, h_d, normals, k_s, coefficients):
     return rate, 0.5 * decay / (rate + 1e-3)
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def accelerations(joints, angles, rates, loads, normals, friction_c, friction_d, coefficients):
     """Second time derivatives of (s, w, phi, h_C, theta_C, h_D, theta_D) under given forces on the feet.
@@ -209,7 +202,6 @@ def accelerations(joints, angles, rates, loads, normals, friction_c, friction_d,
     return a_s, a_w, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def friction_responses(joints, h_c, h_d, coefficients):
     """Accelerations per newton of friction on the rear foot, and per newton on the front foot [1/kg, ...].
@@ -231,7 +223,6 @@ def friction_responses(joints, h_c, h_d, coefficients):
     return rear, front
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def _joined(joints, h_c, h_d, coefficients, known, turns, gaps, slides):
     """Accelerations when the joints hold body and legs together, gravity apart.
@@ -276,7 +267,6 @@ def _joined(joints, h_c, h_d, coefficients, known, turns, gaps, slides):
     return a_s, a_w, alpha, h_c_acc, theta_c_acc, h_d_acc, theta_d_acc
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def _quarter_turned(cos_c, sin_c, cos_d, sin_d, c_s, c_w, d_s, d_w):
     """Each joint's quarter-turned offset r' = (r_w, -r_s) in its leg's axes: across, along."""

@@ -9,8 +9,6 @@ All functions are scalar, branch-free and inlined, so that a loop over lanes aro
 instructions.
 """
 
-from numba import njit
-
 from sysid.integrate.fused import fused
 
 # Adding and subtracting 1.5 * 2**52 rounds a double to the nearest integer with plain additions, on any CPU.
@@ -21,7 +19,6 @@ _PI_HIGH = 3.1415926218032837
 _PI_LOW = 3.178650954705639e-08
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def sine_cosine(angle):
     """Sine and cosine of an angle [rad], absolute error below 5e-16 for |angle| < 1e4 rad.
@@ -52,7 +49,6 @@ def sine_cosine(angle):
     return sign * (r + r * z * sine), sign * (1.0 + z * cosine)
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def joint_position(cos_phi, sin_phi, side, dx_j, dz_j):
     """Joint from the body's centre of mass in the slope frame (along, normal) [m].
@@ -66,7 +62,6 @@ def joint_position(cos_phi, sin_phi, side, dx_j, dz_j):
     return along, normal
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def foot_motion(w, s_rate, w_rate, omega, joint_s, joint_w, length, h_rate, cos_theta, sin_theta, theta_rate):
     """Penetration [m] of a foot into the surface, its rate [m/s] and the foot's slip speed down-slope [m/s].
@@ -79,7 +74,6 @@ def foot_motion(w, s_rate, w_rate, omega, joint_s, joint_w, length, h_rate, cos_
     return penetration, penetration_rate, slip
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def normal_force(penetration, penetration_rate, k_s, b_s):
     """Normal force on a foot [N], equation (7): spring always, damper only while the foot goes deeper."""

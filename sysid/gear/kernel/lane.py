@@ -1,7 +1,6 @@
 """Work on one lane (one simulation's place in the buffer): loading start and thrust, reading a step."""
 
 import numpy as np
-from numba import njit
 
 from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.dynamics import derived, feet, pose
@@ -15,6 +14,7 @@ from sysid.gear.kernel.parameter_row import (
     THRUST_POINT_DX,
 )
 from sysid.gear.kernel.stage import coefficients_at
+from sysid.integrate.fused import fused, part
 from sysid.integrate.tableau import STAGES
 
 # Quantities whose zero `locate` finds: penetration of the rear and of the front foot [m], angle between body
@@ -22,7 +22,7 @@ from sysid.integrate.tableau import STAGES
 REAR_FOOT, FRONT_FOOT, TURN, MOTION = range(4)
 
 
-@njit(error_model="numpy")
+@fused
 def _feet(coordinates, rates, work, lane, lanes):
     """Penetration, its rate and slip speed of the rear foot, then of the front foot, from a lane's state."""
     _, w, phi, h_c, theta_c, h_d, theta_d = coordinates
@@ -31,7 +31,7 @@ def _feet(coordinates, rates, work, lane, lanes):
     return feet(joints, w, h_c, h_d, rates, coefficients.length)
 
 
-@njit(error_model="numpy")
+@part
 def _seven(work, row, lane, lanes):
     """Seven rows of a lane from `row` on: coordinates or their rates."""
     p = row * lanes + lane
@@ -42,7 +42,7 @@ def _seven(work, row, lane, lanes):
     )  # fmt: skip
 
 
-@njit(error_model="numpy")
+@part
 def feet_at_start(work, lane, lanes):
     """Penetration, its rate and slip speed of the rear foot, then of the front foot, at the step's start."""
     coordinates = _seven(work, at.START, lane, lanes)
@@ -50,7 +50,7 @@ def feet_at_start(work, lane, lanes):
     return _feet(coordinates, rates, work, lane, lanes)
 
 
-@njit(error_model="numpy")
+@part
 def begin(parameters, slope, body, legs, work, lane, lanes):
     """Load a job into a lane: coefficients, state in the slope's frame, a first step of length 0."""
     for row in range(at.ROWS):
@@ -94,7 +94,7 @@ def begin(parameters, slope, body, legs, work, lane, lanes):
     work[at.FRESH * lanes + lane] = 1.0
 
 
-@njit(error_model="numpy")
+@part
 def load(number, parameters, slope, body, legs, segments, plans, segment, origin, work, lane, lanes):
     """Load the start of job number candidate * drops + drop, and the thrust of that drop, into a lane."""
     candidate = number // slope.shape[1]
@@ -110,7 +110,7 @@ def load(number, parameters, slope, body, legs, segments, plans, segment, origin
     hold_rest(plans[drop, at.PLAN_SETTLED], until, work, lane, lanes)
 
 
-@njit(error_model="numpy")
+@part
 def assign(number, lane, job, cursor, clock, offset, cost, work):
     """Assign a job to the lane into which `load` has put the job's start."""
     lanes = len(job)
@@ -121,7 +121,7 @@ def assign(number, lane, job, cursor, clock, offset, cost, work):
     work[at.LIMIT * lanes + lane] = max(1000.0, cost * clock[offset[drop + 1] - 1])
 
 
-@njit(error_model="numpy")
+@part
 def idle(lane, job, work):
     """Let a lane without a job take tiny steps from its start: its numbers stay finite and are not used."""
     lanes = len(job)
@@ -131,20 +131,20 @@ def idle(lane, job, work):
     work[at.FRESH * lanes + lane] = 2.0
 
 
-@njit(error_model="numpy")
+@part
 def thrust_segment(segments, number, origin, until, thrust_dx, work, lane, lanes):
     """Load a segment, which ends at lane time `until`, of a thrust history begun at lane time `origin`."""
-    coefficients = coefficients_at(work, at.COEFFICIENTS * lanes + lane, lanes)
+    per_m, per_i = work[at.PER_M * lanes + lane], work[at.PER_I * lanes + lane]
     for i in range(4):
         rear = segments[number, at.SEGMENT_REAR + i]
         front = segments[number, at.SEGMENT_FRONT + i]
-        work[(at.LIFT + i) * lanes + lane] = (rear + front) * coefficients.per_m
-        work[(at.TILT + i) * lanes + lane] = thrust_dx * (rear - front) * coefficients.per_i
+        work[(at.LIFT + i) * lanes + lane] = (rear + front) * per_m
+        work[(at.TILT + i) * lanes + lane] = thrust_dx * (rear - front) * per_i
     work[at.ORIGIN * lanes + lane] = origin + segments[number, at.SEGMENT_FROM]
     work[at.SEGMENT_END * lanes + lane] = until
 
 
-@njit(error_model="numpy")
+@part
 def hold_rest(settled, origin, work, lane, lanes):
     """Count a drop as moving until `settled` [s] on the clock of a history begun at lane time `origin`.
 
@@ -153,7 +153,7 @@ def hold_rest(settled, origin, work, lane, lanes):
     work[at.HOLD * lanes + lane] = origin + settled if settled >= 0.0 else 0.0
 
 
-@njit(error_model="numpy")
+@part
 def interpolated(work, lane, lanes, share, i):
     """Coordinate `i` and its rate at `share` (0..1) of the lane's step, from cubic Hermite polynomials."""
     h = work[at.STEP * lanes + lane]
@@ -171,7 +171,7 @@ def interpolated(work, lane, lanes, share, i):
     return b00 * x0 + b01 * x1 + b10 * v0 + b11 * v1, b00 * v0 + b01 * v1 + b10 * a0 + b11 * a1
 
 
-@njit(error_model="numpy")
+@part
 def sample(work, lane, lanes, share, row):
     """Write the state at `share` (0..1) of a lane's step into `row`, in frame N of `sysid.gear.model` [SI].
 
@@ -201,7 +201,7 @@ def sample(work, lane, lanes, share, row):
             row[14 + foot] = (1.0 - share) * before + share * work[(at.FRICTION + foot) * lanes + lane]
 
 
-@njit(error_model="numpy")
+@part
 def _gap(work, lane, lanes, share, kind, ending):
     """The number whose change of sign is the event: see `REAR_FOOT` ... `MOTION`."""
     _, rest_speed, rest_turn, _, flip_angle = ending
@@ -225,7 +225,7 @@ def _gap(work, lane, lanes, share, kind, ending):
     return p_c if kind == REAR_FOOT else p_d
 
 
-@njit(error_model="numpy")
+@part
 def locate(work, lane, lanes, kind, ending):
     """Share of the lane's step at which the quantity `kind` changes its sign (regula falsi, Illinois).
 
@@ -253,7 +253,7 @@ def locate(work, lane, lanes, kind, ending):
     return 0.5 * (low + high)
 
 
-@njit(error_model="numpy")
+@part
 def available(work, lane, lanes, foot):
     """Largest friction of a foot in its mode at the step's end, equation (9) of the paper [N].
 

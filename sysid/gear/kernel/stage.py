@@ -1,11 +1,9 @@
 """One stage of a step: from the rows of a lane to its accelerations. Inlined into loops over lanes."""
 
-from numba import njit
-
 from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.dynamics import Coefficients, feet, pose, ringing
 from sysid.gear.kernel.geometry import normal_force
-from sysid.integrate.fused import fused
+from sysid.integrate.fused import fused, rewritten
 from sysid.integrate.tableau import A_TWICE, REAL_LIMIT, RING_GAIN, RING_LIMIT, RING_MOST, STAGES, A, C
 from sysid.types import Compiled
 
@@ -21,7 +19,6 @@ added: Compiled = None  # type: ignore[assignment]
 approach: Compiled = None  # type: ignore[assignment]
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def advanced(work, stage, i, lane, lanes):
     """Coordinate `i` of one lane and its rate at the start of a stage.
@@ -40,7 +37,6 @@ def advanced(work, stage, i, lane, lanes):
     return work[(at.START + i) * lanes + lane] + h * (C[stage] * rate + h * twice), rate + h * along
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def cubic(work, row, elapsed, lane, lanes):
     """Value of a cubic whose four coefficients start at `row`."""
@@ -50,7 +46,6 @@ def cubic(work, row, elapsed, lane, lanes):
     return value * elapsed + work[row * lanes + lane]
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def coefficients_at(work, p, n):
     """The coefficients that a lane keeps from place `p` on, `n` apart."""
@@ -63,21 +58,20 @@ def coefficients_at(work, p, n):
     )  # fmt: skip
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def law_at(work, p, n):
     """The numbers that the friction law reads, from place `p` on, `n` apart."""
     return work[p], work[p + n], work[p + 2 * n], work[p + 3 * n], work[p + 4 * n], work[p + 5 * n]
 
 
-@njit(error_model="numpy", forceinline=True)
+@fused
 def put(work, row, numbers, lane, lanes):
     """Write numbers into rows of a lane from `row` on."""
     for i in range(len(numbers)):
         work[(row + i) * lanes + lane] = numbers[i]
 
 
-@fused
+@rewritten
 def motion_at(state, rates, share, work, lane, lanes):
     """Accelerations of one lane in a state, `share` of the step after its start, and what its feet do.
 

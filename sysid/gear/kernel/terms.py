@@ -20,7 +20,6 @@ both laws read (friction of polymers changes with load and wear; Bowden & Tabor 
 """
 
 import numpy as np
-from numba import njit
 
 from sysid.gear.kernel import parameter_row as column
 from sysid.gear.kernel import work_buffer as at
@@ -30,31 +29,29 @@ from sysid.integrate.fused import fused
 _SLIDE_SPEED, _JOINT_SPEED = 0.01, 0.1
 
 
-@njit(error_model="numpy", forceinline=True)
+@fused
 def _value(name, work, lane, lanes):
     return work[(at.TERM_VALUES + name - column.FIRST_TERM) * lanes + lane]
 
 
-@njit(error_model="numpy", forceinline=True)
+@fused
 def nothing_added(angles, rates, coefficients, work, lane, lanes):
     """The terms of the paper's model: none. Adding -0.0 changes no number, and the compiler drops it."""
     return -0.0, -0.0, -0.0, -0.0, -0.0, 0.0
 
 
-@njit(error_model="numpy", forceinline=True)
+@fused
 def no_approach(penetration, k_s, work, lane, lanes):
     """What the paper's ground adds to its damper."""
     return -0.0
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def approach(penetration, k_s, work, lane, lanes):
     """What the ground's rate stiffening adds to its damper at a penetration [N·s/m]."""
     return k_s * _value(column.GROUND_RATE_STIFFENING, work, lane, lanes) * penetration
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def added(angles, rates, coefficients, work, lane, lanes):
     """Added axial forces of the rear and front joint [N], moments on the legs [N·m], pitch [rad/s²].

@@ -24,6 +24,7 @@ END = _rows(2 * COORDINATES)  # the same at the step's end
 RATES = _rows(COORDINATES * (STAGES + 1))  # accelerations at the stages; the last stage is the step's end
 COEFFICIENTS = _rows(len(Coefficients._fields))  # in the order of their fields
 LENGTH = COEFFICIENTS + Coefficients._fields.index("length")  # leg at rest [m]
+PER_M, PER_I = (COEFFICIENTS + Coefficients._fields.index(name) for name in ("per_m", "per_i"))
 GROUND_SPRING = _rows()  # k_s
 GROUND_DAMPER = _rows()  # b_s
 # Numbers that the friction law reads. A law with modes reads mu_k, mu_s - mu_k, the front foot's excess.

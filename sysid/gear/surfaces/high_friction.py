@@ -20,8 +20,6 @@ other drops (8 to 22 switches each). In the first of these drops it still misses
 2 at 1e-4. At 3e-5, the tolerance of a single drop with logged switches, it misses none in all twelve drops.
 """
 
-from numba import njit
-
 from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.dynamics import accelerations, friction_responses
 from sysid.gear.surfaces.surface import LEGS_AND_GROUND, Surface
@@ -41,7 +39,6 @@ _INNER_STEP = 1e-6
 _INNER_SHARE = 0.1
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def along_slope(joints, h_c, h_d, l, acceleration):  # noqa: E741
     """Acceleration of both feet along the slope, as far as it is linear in the accelerations of the state."""
@@ -52,7 +49,6 @@ def along_slope(joints, h_c, h_d, l, acceleration):  # noqa: E741
     return rear, front
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def foot_accelerations(joints, h_c, h_d, l, rates, acceleration):  # noqa: E741
     """Acceleration of the rear and front foot along the slope [m/s²]."""
@@ -67,7 +63,6 @@ def foot_accelerations(joints, h_c, h_d, l, rates, acceleration):  # noqa: E741
     return rear, front
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def high_friction(free, response, forces, slips, stuck_c, stuck_d, way_c, way_d, mu_k):
     """Friction on both feet in their modes, and the force that each would need to stick [N].
@@ -109,7 +104,6 @@ def high_friction(free, response, forces, slips, stuck_c, stuck_d, way_c, way_d,
     return f_c, f_d, req_c, req_d
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def event(stuck, way, normal, slip, required, margin, mu_s):
     """Margin of a foot's mode at a step's end, 1 if the mode was lost within the step, and the loss's share.
@@ -127,19 +121,18 @@ def event(stuck, way, normal, slip, required, margin, mu_s):
     return now, lost, share
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
-def inner_share(work, foot, lane, lanes, h, stuck, way, margin, mu_s):
+def inner_share(work, place, lanes, h, stuck, way, margin, mu_s):
     """Share of the step at which an inner stage places a foot's loss of its mode, at least `_INNER_SHARE`.
 
-    1 where the foot keeps its mode at every stage, and for steps of at most `_INNER_STEP`. The state at a
-    stage is less accurate than the state at the step's end, so a stage only shortens the step; the end alone
-    decides on a switch.
+    `place` is the lane for the rear foot, `lanes` further for the front foot. 1 where the foot keeps its mode
+    at every stage, and for steps of at most `_INNER_STEP`. The state at a stage is less accurate than the
+    state at the step's end, so a stage only shortens the step; the end alone decides on a switch.
     """
     share = 1.0
     start = margin if margin > 0.0 else 0.0
     for stage in range(1, STAGES):
-        row = (at.INNER + at.INNER_ROWS * (stage - 1) + foot) * lanes + lane
+        row = (at.INNER + at.INNER_ROWS * (stage - 1)) * lanes + place
         normal = work[row + at.INNER_NORMAL * lanes]
         required = work[row + at.INNER_REQUIRED * lanes]
         force = required if required > 0.0 else -required
@@ -153,7 +146,6 @@ def inner_share(work, foot, lane, lanes, h, stuck, way, margin, mu_s):
     return share if h > _INNER_STEP else 1.0
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def settle(first, second, h, taken, new_h):
     """Decide after every step whether it is taken, how long the next is, and whether modes switch at its end.
@@ -171,7 +163,6 @@ def settle(first, second, h, taken, new_h):
     return taken, new_h, hit
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def next_mode(switch, stuck, way, normal, slip, required, margin, now, taken, mu_k):
     """Mode, direction of slip and margin of a foot after a step; unchanged where the step is not taken."""
@@ -191,7 +182,6 @@ def next_mode(switch, stuck, way, normal, slip, required, margin, now, taken, mu
     return new_stuck, new_way, new_margin
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def solve(joints, angles, rates, loads, normals, slips, modes, law, coefficients):
     """Accelerations, friction and required friction with every foot in its mode.
@@ -223,7 +213,6 @@ def solve(joints, angles, rates, loads, normals, slips, modes, law, coefficients
     return acceleration, (f_c, f_d), (r_c, r_d), 0.0
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def after_step(work, lane, lanes, h, taken, new_h):
     """Repeat a step that passes a foot's first loss of its mode, or switch the modes lost at its end.
@@ -243,8 +232,8 @@ def after_step(work, lane, lanes, h, taken, new_h):
     n_d, v_d, r_d = work[at.NORMAL * lanes + d], work[at.SLIP * lanes + d], work[at.REQUIRED * lanes + d]
     now_c, lost_c, share_c = event(stuck_c, way_c, n_c, v_c, r_c, margin_c, mu_s)
     now_d, lost_d, share_d = event(stuck_d, way_d, n_d, v_d, r_d, margin_d, front_s)
-    inner_c = inner_share(work, 0, lane, lanes, h, stuck_c, way_c, margin_c, mu_s)
-    inner_d = inner_share(work, 1, lane, lanes, h, stuck_d, way_d, margin_d, front_s)
+    inner_c = inner_share(work, c, lanes, h, stuck_c, way_c, margin_c, mu_s)
+    inner_d = inner_share(work, d, lanes, h, stuck_d, way_d, margin_d, front_s)
     share_c = inner_c if inner_c < share_c else share_c
     share_d = inner_d if inner_d < share_d else share_d
     taken, new_h, hit = settle(share_c, share_d, h, taken, new_h)

@@ -1,12 +1,9 @@
 """Low friction, equation (8): a continuous law that slides and creeps, and never sticks."""
 
-from numba import njit
-
 from sysid.gear.surfaces.surface import LEGS_AND_GROUND, Surface, continuous_law
 from sysid.integrate.fused import fused
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def low_friction(force_c, force_d, slip_c, slip_d, law):
     """Friction on both feet along the slope [N], equation (8) with the sign that opposes the slip.
@@ -23,7 +20,6 @@ def low_friction(force_c, force_d, slip_c, slip_d, law):
     return common * below_d * force_c * slip_c, common * below_c * (force_d * (1.0 + unlike)) * slip_d
 
 
-@njit(error_model="numpy", forceinline=True)
 @fused
 def low_friction_damping(force, slip, law):
     """Slope ``-dF_t/dv`` of the law (8) at a slip speed [N·s/m]; the front foot's is alike."""

@@ -8,10 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from numba import njit
-
 from sysid.gear.kernel.dynamics import accelerations, foot_looseness
 from sysid.gear.kernel.parameter_row import LAW_SLOTS
+from sysid.integrate.fused import fused
 from sysid.types import Compiled
 
 # Parameters that are free on every surface by default.
@@ -93,19 +92,19 @@ def specialized(function: Callable[..., object], **bindings: object) -> types.Fu
 def law_text(surface: Surface) -> bytes:
     """Return bytes that change with a law: its file, or its code where it was typed in a session."""
     law = surface.friction if surface.friction is not None else surface.solve
-    file = Path(inspect.getfile(law.py_func))
+    file = Path(inspect.getfile(getattr(law, "py_func", law)))
     if file.is_file():
         return file.read_bytes()
-    texts: dict[types.FunctionType, bytes] = {}
+    texts: dict[object, bytes] = {}
     for function in (surface.friction, surface.solve, surface.after_step):
-        if function is not None:
-            _collect(function.py_func, texts)
+        _collect(function, texts)
     return b"".join(texts.values())
 
 
-def _collect(function: types.FunctionType, texts: dict[types.FunctionType, bytes]) -> None:
-    """Add the code, constants and called functions of a Python function, each once."""
-    if function in texts:
+def _collect(called: object, texts: dict[object, bytes]) -> None:
+    """Add the code, constants and called functions of a function, each once."""
+    function = getattr(called, "py_func", called)
+    if function in texts or not isinstance(function, types.FunctionType):
         return
     texts[function] = b""
     code, text = [function.__code__], b""
@@ -116,10 +115,10 @@ def _collect(function: types.FunctionType, texts: dict[types.FunctionType, bytes
         text += part.co_code + repr((plain, part.co_names, part.co_varnames, part.co_freevars)).encode()
         for name in (*part.co_names, *part.co_freevars):
             value = seen.get(name)
-            if value is not None and hasattr(value, "py_func"):
-                _collect(value.py_func, texts)
-            elif isinstance(value, bool | int | float | tuple):
+            if isinstance(value, bool | int | float | tuple):
                 text += f"{name}={value!r}".encode()
+            elif callable(value):
+                _collect(value, texts)
     texts[function] = text
 
 
@@ -128,9 +127,7 @@ def continuous_law(friction: Compiled, damping: Compiled) -> Compiled:
 
     `friction` is as in `Surface`; `damping` is ``(force, slip, law) -> -dF_t/dv`` [N·s/m], 0 or more.
     """
-    bound = specialized(_solve, friction=friction, damping=damping)
-    made: Compiled = njit(error_model="numpy", forceinline=True)(bound)
-    return made
+    return fused(specialized(_solve, friction=friction, damping=damping))
 
 
 def _solve(joints, angles, rates, loads, normals, slips, modes, law, coefficients):

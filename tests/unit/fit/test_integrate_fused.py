@@ -8,11 +8,11 @@ import pytest
 from numba import njit
 from numba.core.codegen import get_host_cpu_features
 
-from sysid.integrate.fused import fused, fused_multiply_add
+from sysid.integrate.fused import fused_multiply_add, rewritten
 
 
 @njit
-@fused
+@rewritten
 def formulas(a, b, c, d):
     total = c
     total += a * b
@@ -20,7 +20,7 @@ def formulas(a, b, c, d):
 
 
 @njit
-@fused
+@rewritten
 def places(work, row, lanes):
     return work[(row + 2 * lanes) * 1 + lanes] + 2.0 * work[row * lanes + 1]
 
