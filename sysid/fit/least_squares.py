@@ -1,8 +1,9 @@
 """Levenberg-Marquardt on many fronts at once, and the finisher that a search makes of it.
 
 A front is one point that walks downhill. A population's kernel is fastest with hundreds of candidates, so
-all fronts walk side by side: one population has every column of every front's difference Jacobian, the next
-one several damping factors of every front's step. The walk asks for residuals and does not know who computes
+all fronts walk side by side: a population has several damping factors of every front's step. Each step also
+corrects the derivatives, so that differences of them, every column of every front in one population, are
+taken at the start and where a step disappoints. The walk asks for residuals and does not know who computes
 them.
 
 The finisher minimizes the mean NRMSE ``C = sum_k w_k s_k`` over blocks k (a channel of a trial). With

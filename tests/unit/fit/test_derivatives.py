@@ -1,9 +1,10 @@
-"""Difference quotients along axes and of all trials at once, on residuals whose derivatives are known."""
+"""Difference quotients along axes and of all trials at once, and what steps correct, of known derivatives."""
 
 import numpy as np
 import pytest
 
 from sysid.fit.derivatives import Layout, displaced
+from sysid.fit.least_squares import Fronts, descend, drive
 
 # Two coordinates of all trials in a valley of condition 1e4, and one of each of two trials.
 _RANDOM = np.random.default_rng(3)
@@ -84,3 +85,53 @@ def test_a_point_that_cannot_be_simulated_costs_its_direction_alone():
     columns, _ = moves.columns(residuals(at), values, failed, np.zeros((4, 40)))
     assert not columns[0].any()
     np.testing.assert_allclose(columns[1:].T, matrix[:, 1:], atol=1e-9)
+
+
+class _Squares:
+    def cost(self, fronts, residuals):
+        return np.sum(residuals**2, axis=-1)
+
+    def scale(self, front, residuals):
+        return np.ones(residuals.shape[-1])
+
+
+def _walked(known, bend=0.0, iterations=40):
+    """Walk to (0.4, 0.5, 0.6, 0.3) from the middle; return cost, derivatives, true ones and populations."""
+    matrix, layout, _ = _linear(0.0)
+    bottom = np.array([0.4, 0.5, 0.6, 0.3])
+    fronts, sizes = Fronts.at(np.full((1, 4), 0.5)), []
+
+    def residuals(points):
+        sizes.append(len(points))
+        away = points - bottom
+        return (away + bend * away**2) @ matrix.T, np.zeros(len(points), bool)
+
+    known = known(matrix)[None]
+    drive(descend(fronts, _Squares(), layout, known=known, tolerance=1e-12, iterations=iterations), residuals)
+    return fronts.cost[0], known[0], matrix.T, sizes
+
+
+def test_known_derivatives_are_corrected_by_steps_alone():
+    # Off by a tenth in one coordinate, and bent: no differences, which take six points of this model.
+    cost, derivatives, true, sizes = _walked(lambda matrix: matrix.T * [[1.1], [1.0], [0.9], [1.0]], bend=0.2)
+    assert cost < 1e-9
+    assert {*sizes} == {1, 3}
+    # What no residual of the other trial sees stays unseen.
+    np.testing.assert_array_equal(derivatives[2:][true[2:] == 0.0], 0.0)
+
+
+def test_derivatives_that_mislead_are_taken_again():
+    cost, derivatives, true, sizes = _walked(lambda matrix: -matrix.T)
+    assert cost < 1e-9
+    assert 6 in sizes
+    np.testing.assert_allclose(derivatives, true, atol=1e-3)
+
+
+def test_only_derivatives_that_are_not_known_are_taken():
+    cost, derivatives, true, sizes = _walked(
+        lambda matrix: np.where([[False], [False], [True], [True]], matrix.T, np.nan)
+    )
+    assert cost < 1e-9
+    # Two axes of the first two coordinates, central; nothing of the slopes of both trials.
+    assert sizes[1] == 4
+    np.testing.assert_allclose(derivatives, true, atol=1e-3)
