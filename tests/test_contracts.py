@@ -108,7 +108,7 @@ def climbs(imports: dict[str, list[tuple[str, int, bool]]]) -> list[str]:
 
 
 # Loads pymoo or cma only for the algorithm that a fit asks for: half a second of every start. So does `show`
-# with the campaign of a fit that was cut short.
+# with the campaign of a fit that was cut short, the words on `explain` and the table of a new fit.
 LAZY = ("sysid.fit.breeders.algorithms", "sysid.workflows.show")
 
 

@@ -10,18 +10,20 @@ position that is ten noise deviations off: the verdict is by the worse of the me
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
 
 from sysid.documents import Part, channel_symbol
-from sysid.fit.least_squares import EXPLAINED, noise_floor
 from sysid.fit.optima import beside_noise
-from sysid.fit.problem import Problem
-from sysid.fit.trial import Block, nrmse_of
+from sysid.fit.trial import EXPLAINED, Block, noise_floor, nrmse_of
 from sysid.journal import Finding
 from sysid.parameters import in_words, with_unit
 from sysid.types import FloatArray
+
+if TYPE_CHECKING:
+    from sysid.fit.problem import Problem
 
 # Residual over noise floor up to which a model explains its trials roughly [1]; beyond, it does not.
 ROUGHLY = 1.5

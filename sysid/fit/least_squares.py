@@ -26,7 +26,7 @@ from sysid.fit.breeders.breeder import Breeder, Start
 from sysid.fit.derivatives import Displacements, Layout, displaced
 from sysid.fit.problem import Problem
 from sysid.fit.stopping import StopReason
-from sysid.fit.trial import Block
+from sysid.fit.trial import EXPLAINED, noise_floor
 from sysid.types import BoolArray, FloatArray
 
 # Damping that is tried in every step, as multiples of a front's present damping.
@@ -41,8 +41,6 @@ _MISLED = 0.25
 _SAME_START = 0.05
 # A front of the finisher has converged when a step takes less than this share off its cost.
 _TOLERANCE = 2e-5
-# A model explains the trials where its NRMSE is at most this multiple of what noise costs [1].
-EXPLAINED = 1.2
 # Relative rise of the NRMSE at the ends of the axes along which CMA-ES starts after least squares [1].
 _AXIS_COST = 0.005
 # Greatest length of an axis along which CMA-ES starts [unit cube].
@@ -385,11 +383,6 @@ class LeastSquares(Breeder):
         curvature, axes = np.linalg.eigh(self._fronts.curvature[best])
         lengths = np.sqrt(2 * _AXIS_COST / np.maximum(curvature, 1e-30))
         return Start(self._fronts.points[best], np.minimum(lengths, _AXIS_LENGTH), axes)
-
-
-def noise_floor(blocks: Sequence[Block]) -> float:
-    """Return the mean NRMSE that noise alone costs [1]; NaN where the noise of a block is not known."""
-    return sum(block.weight * block.noise for block in blocks)
 
 
 def _distinct(cube: FloatArray, count: int) -> FloatArray:

@@ -27,11 +27,11 @@ from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.breeders.breeder import Breeder, Keeping, Start
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.history import Generation, RunHistory, StageHistory
-from sysid.fit.least_squares import LeastSquares, noise_floor
+from sysid.fit.least_squares import LeastSquares
 from sysid.fit.problem import Problem
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, StopReason
-from sysid.fit.trial import count_causes
+from sysid.fit.trial import count_causes, noise_floor
 from sysid.types import FloatArray
 
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult
 from sysid.journal import tell
 from sysid.parameters import common_name
 from sysid.stated import error_of
 from sysid.types import FloatArray
 
-P = TypeVar("P", bound=Problem)
+if TYPE_CHECKING:
+    from sysid.fit.problem import Problem
+
+P = TypeVar("P", bound="Problem")
 
 
 # Seed of the errors that a prediction has of its own [1].

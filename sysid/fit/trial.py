@@ -15,6 +15,8 @@ from sysid.types import BoolArray, FloatArray, IntArray
 
 # The one cause of failure where a problem names none.
 UNNAMED_CAUSE = ("simulation failed",)
+# A model explains the trials where its NRMSE is at most this multiple of what noise costs [1].
+EXPLAINED = 1.2
 
 Failed = BoolArray | NDArray[np.int8]
 
@@ -105,6 +107,11 @@ def nrmse_of(blocks: Sequence[Block], residuals: FloatArray) -> FloatArray:
     squares = [np.sum(residuals[..., block.start : block.stop] ** 2, axis=-1) for block in blocks]
     counts = [max(block.count, 1) for block in blocks]
     return np.sqrt(np.stack(squares, axis=-1) / counts)
+
+
+def noise_floor(blocks: Sequence[Block]) -> float:
+    """Return the mean NRMSE that noise alone costs [1]; NaN where the noise of a block is not known."""
+    return sum(block.weight * block.noise for block in blocks)
 
 
 @dataclass(frozen=True, eq=False)

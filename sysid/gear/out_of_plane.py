@@ -22,7 +22,7 @@ from importlib import resources
 
 import numpy as np
 
-from sysid.fit.least_squares import EXPLAINED
+from sysid.fit.trial import EXPLAINED
 from sysid.gear.drops import PreparedDrop
 from sysid.gear.problem import GearProblem
 from sysid.journal import Finding, notice, tell

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sysid.documents import channel_symbol, interval, rounded
 from sysid.fit.store import fit_folder
@@ -30,7 +30,6 @@ from sysid.report.table import (
     table,
     words,
 )
-from sysid.trust.comparison import Comparison, Difference
 from sysid.trust.documents import (
     CheckDocument,
     CrossValidationDocument,
@@ -45,6 +44,9 @@ from sysid.trust.documents import (
 )
 from sysid.trust.use import ClassOfUse, NumberOfUse
 from sysid.trust.verdicts import sentences
+
+if TYPE_CHECKING:
+    from sysid.trust.comparison import Comparison, Difference
 
 # Units of the entries of an excitation by name; an entry without a unit is a number of events.
 _UNITS = {"slope_deg": "deg", "impact_speed": "m/s", "pitch_rate": "rad/s", "speed": "rad/s",

@@ -19,7 +19,6 @@ from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
 from sysid.fit.kind import Course, FitOutcome
-from sysid.fit.least_squares import noise_floor
 from sysid.fit.optima import agreement, loose_findings, waterfall
 from sysid.fit.problem import Problem, computed_by
 from sysid.fit.progress import FitProgress
@@ -29,6 +28,7 @@ from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, CutShort, Deadline, cut_short_by, stop_on_interrupt
 from sysid.fit.store import check_new_fit, write_fit
 from sysid.fit.story import Story
+from sysid.fit.trial import noise_floor
 from sysid.journal import Finding, Journal, Say, notice, tell
 from sysid.parallel import executor
 from sysid.parameter_sets import INTERVALS, NOT_ASSESSED

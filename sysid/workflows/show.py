@@ -15,10 +15,8 @@ from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder
 from sysid.parameter_sets import ACCUSED, ADEQUACY, DRAWS, KNOWN_ANYHOW, NOT_ASSESSED, PREDICTS, ParameterSets
 from sysid.plugin import NAMED
-from sysid.report.explain import conclusion
 from sysid.report.fold import print_lines, print_table
 from sysid.report.set_tables import adequacy_table, mean_sigma_table, ranked_table, trial_table
-from sysid.report.trust_tables import answer_table
 from sysid.trust.documents import ExplainDocument
 from sysid.trust.use import NOT
 
@@ -39,6 +37,8 @@ def print_sets(source: str | Path, json: bool) -> None:
     path = Path(source)
     folder = fit_folder(path) if path.is_dir() or path.name == "fit.h5" else None
     if folder is not None and (climbed := ExplainDocument.read(folder)):
+        from sysid.report.explain import conclusion
+
         print_lines([f"explain: {conclusion(climbed)[0]}; all of it: sysid report {folder}"])
 
 
@@ -62,6 +62,8 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
     if details:
         _print_tables(sets)
     else:
+        from sysid.report.trust_tables import answer_table
+
         print_table(answer_table(sets))
     print_lines([f"fit written to {folder}{state}; next:"])
     place = result.provenance.get("campaign", {}).get("from_fit_folder")

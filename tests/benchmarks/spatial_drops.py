@@ -44,9 +44,9 @@ from fakes.spatial_gear import drop_in_space, lowest_foot, simulator
 from paired import flags, mean_nrmse
 from sysid.campaign import read_campaign
 from sysid.filters import KaiserLowpass, differentiate
-from sysid.fit.least_squares import noise_floor
 from sysid.fit.search import run_one
 from sysid.fit.settings import SearchSettings
+from sysid.fit.trial import noise_floor
 from sysid.gear import model
 from sysid.gear.drops import as_compared
 from sysid.gear.out_of_plane import cost_of_lean, leans, misfit_that_leans
