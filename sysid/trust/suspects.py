@@ -36,11 +36,15 @@ _UNLIKE = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Inquiry:
-    """What was tried, what became of the stated values, and a finding for everybody who is accused."""
+    """What was tried, what became of the stated values, and a finding for everybody who is accused.
+
+    `freed` has the values of the fit without the contradicted statements by name [SI]; empty where none is.
+    """
 
     suspects: list[Suspect]
     stated: list[StatedValue]
     findings: list[Finding]
+    freed: dict[str, float]
     evaluations: int
 
 
@@ -55,6 +59,7 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
         sets += [[row.name] for row in largest if [row.name] != wrong]
     suspects: list[Suspect] = []
     findings: list[Finding] = []
+    freed: dict[str, float] = {}
     evaluations = 0
     if sets:
         points, evaluations = _freed(problem, linear, sets, rows)
@@ -62,9 +67,10 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
         if wrong and lacks and tried[0].verdict == NOT_BY:
             rows = [row.model_copy(update={"contradicted": False}) for row in rows]
         # The fit without the statements knows better than the derivatives at the fit with them.
-        asked = dict(zip(space.names, space.decode(points[0]).tolist(), strict=True))
+        if any(row.contradicted for row in rows):
+            freed = dict(zip(space.names, space.decode(points[0]).tolist(), strict=True))
         rows = [
-            row.model_copy(update={"asked": asked[row.name]}) if row.contradicted else row for row in rows
+            row.model_copy(update={"asked": freed[row.name]}) if row.contradicted else row for row in rows
         ]
         findings = contradictions(rows, space, _falls(as_stated, tried[0]))
         accused = [one.sentence for one in findings]
@@ -83,11 +89,12 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
             # A wrong value is the likelier cause of both.
             findings = [*again.findings, trial]
             others += again.suspects
+            freed = again.freed
             evaluations += again.evaluations
         else:
             others = [one.model_copy(update={"sentences": []}) for one in others]
         suspects += others
-    return Inquiry(suspects, rows, findings, evaluations)
+    return Inquiry(suspects, rows, findings, freed, evaluations)
 
 
 def _without(problem: Problem, point: FloatArray, bad: Suspect) -> Inquiry:

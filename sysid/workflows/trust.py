@@ -105,6 +105,10 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     inquiry = put_on_trial(problem, assessed.noise, judged, assessed.without)
     for finding in inquiry.findings:
         journal.add(finding)
+    wrong = " and ".join(row.name for row in inquiry.stated if row.contradicted)
+    for row in rows:
+        if not row.contains(freed_value := inquiry.freed.get(row.name, row.refined)):
+            doubts[row.name].append(f"{freed_value:.4g} without what is stated of {wrong}")
     bad = any(finding.code == "bad-trial" for finding in inquiry.findings)
     _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks and not bad)
     record = opened.result.provenance

@@ -147,8 +147,9 @@ def main():
             ]
             seen.append(any({row.name for row in own} & {row.name, *row.partners} for row in wrong))
             truth = {**true, "slope[drop-3]": np.radians(15)}.get(row_name, np.nan)
-            asked_in += abs(own[0].asked - truth) < 1.96 * own[0].sigma
-            with_truth += bool(np.isfinite(truth))
+            # Of a value that is not named no interval is printed.
+            asked_in += seen[-1] and abs(own[0].asked - truth) < 1.96 * own[0].sigma
+            with_truth += seen[-1] and bool(np.isfinite(truth))
         named += any(seen)
         all_named += bool(seen) and all(seen)
         shown = " ".join(f"{100 * value:+6.1f}" for value in errors[-1])
@@ -168,7 +169,7 @@ def main():
     if arguments.case == "gross":
         print(
             f"a wrong value named in {named}, all in {all_named}; the truth in {asked_in} of {with_truth} "
-            "intervals"
+            "printed intervals"
         )
     else:
         print(f"{accused} campaigns with an accused value")
