@@ -115,3 +115,22 @@ def test_a_gross_error_is_named_with_the_value_that_the_drops_ask_for(campaign, 
     # The wrong statement lets go, so that no parameter follows it: seven of eight intervals at least.
     held = [row.contains(parameters[name]) for name, row in trust.by_name.items()]
     assert sum(held) >= len(held) - 1
+
+
+def test_a_parameter_that_a_wrong_statement_bends_is_doubted(tmp_path):
+    # The weights of these legs lie beyond a ridge of what the campaign states, by 14 errors too much.
+    drone = {
+        "body_mass": 1.40247496, "body_inertia": 0.01549838, "foot_dx": 0.09799296, "foot_dz": 0.13811089,
+        "leg_axial_stiffness": 6498.702, "leg_axial_damping": 12.31234, "leg_bending_stiffness": 11.04383,
+        "leg_bending_damping": 0.06319255, "ground_stiffness": 107944.9, "kinetic_friction": 0.48971685,
+    }  # fmt: skip
+    source = synthesize_gear(tmp_path / "drops", seed=118, parameters=drone)
+    path = misstated(source / "campaign.toml", 118, name="legs.toml", gross={"leg_mass": 14.4})
+    _, trust = fitted(path)
+    true = read_truth(source)["parameters"]
+    assert [row.name for row in trust.stated if row.contradicted] == ["leg_mass"]
+    doubted = {name for name, row in trust.by_name.items() if row.doubt}
+    assert all("without what is stated of leg_mass" in trust.by_name[name].doubt for name in doubted)
+    assert "leg_bending_stiffness" in doubted
+    assert not trust.by_name["leg_bending_stiffness"].contains(true["leg_bending_stiffness"])
+    assert trust.by_name["leg_bending_stiffness"].verdict == "weakly"
