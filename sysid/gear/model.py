@@ -436,7 +436,7 @@ def simulate_population(
 def prepare(surface: str | Surface = "lf") -> None:
     """Compile a surface's driver, or load it from the disk cache.
 
-    The first call after an installation compiles for some 12 s of processor time; say so before. Every
+    The first call after an installation compiles for some 10 s of processor time; say so before. Every
     simulation does it on demand.
     """
     law = find_surface(surface)
