@@ -2,7 +2,8 @@
 
 Each term is added alone. Terms hide one another, so that no order of adding them is safe; those to keep are
 found from above: all are fitted together, and the least certain one is taken away until every one that is
-left is needed. A term is needed where
+left is needed. Terms that may be chance go without a fit between: the values of the others and their
+covariance follow as those of a Gaussian of which one value is known. A term is needed where
 
 * its value differs from none by more than chance: a Wald test with the covariance of
   `sysid.trust.linearized`, with misfit as in `sysid.trust.assessment`, times the number of terms looked at
@@ -38,7 +39,7 @@ from sysid.parameters import SearchSpace
 from sysid.trust.assessment import linearize_widened
 from sysid.trust.least_squares import solve
 from sysid.trust.problem import derivatives, scales
-from sysid.trust.terms import TOLERANCE, downhill, freed, searched, starting_point
+from sysid.trust.terms import TOLERANCE, downhill, freed, starting_point
 from sysid.types import FloatArray
 
 # Largest probability of chance of a single term, or of a model against a simpler one, that counts as needed
@@ -179,12 +180,12 @@ class Climber:
     def _together(self, base: TermFit, alone: Sequence[TermFit]) -> list[TermFit]:
         """Return the terms to keep, one more on each rung, the most certain first."""
         terms = tuple(rung.terms[0] for rung in alone)
-        problem = freed(self._problem, terms)
-        start = starting_point(self._problem, problem, base.values)
-        rung = self._rated(terms, problem, *searched(problem, start))
+        rung = self._fitted_near(terms, base.values)
         while rung.terms:
-            rung, chances = self._by_certainty(rung, len(terms))
-            below = self._without_last(rung)
+            rung, chances, needed = self._by_certainty(rung, len(terms))
+            if not needed and chances[-1] >= CERTAIN:
+                return []
+            below = self._fitted_near(rung.terms[:needed], rung.values)
             if chances[-1] < CERTAIN:
                 rung, below = self._left_out(rung), self._left_out(below)
                 if _gains(rung, below).mean() > LEAST_GAIN:
@@ -194,36 +195,48 @@ class Climber:
             return []
         rungs = [rung]
         while len(rungs[0].terms) > 1:
-            rungs.insert(0, self._left_out(self._without_last(rungs[0])))
+            rungs.insert(0, self._left_out(self._fitted_near(rungs[0].terms[:-1], rungs[0].values)))
         return [
             replace(rung, gain=float(_gains(rung, below).mean()), chance=chance, kept=True)
             for rung, below, chance in zip(rungs, [base, *rungs], chances, strict=False)
         ]
 
-    def _by_certainty(self, rung: TermFit, looked_at: int) -> tuple[TermFit, list[float]]:
-        """Sort a rung's terms, the most certain first; return the chance of each that its value is none."""
+    def _by_certainty(self, rung: TermFit, looked_at: int) -> tuple[TermFit, list[float], int]:
+        """Sort a rung's terms, the most certain first; return the chance of each that its value is none.
+
+        Return as well how many of the first stay when the least certain one goes, and with it those that may
+        be chance, one after the other.
+        """
         kept = self._columns(rung.problem)
         linear, space = linearize_widened(rung.problem, rung.point, kept), rung.problem.space
         rung = self._rated(rung.terms, rung.problem, linear.point, 0)
-        wald, chances = [], []
-        for term in rung.terms:
-            of = [space.names.index(name) for name in term.parameters]
-            none = {name: self._problem.space.fixed[name] for name in term.parameters}
-            way = (linear.point - starting_point(self._problem, rung.problem, {**rung.values, **none}))[of]
-            inverse = np.linalg.pinv(linear.information.covariance[np.ix_(of, of)], hermitian=True)
-            square = float(way @ inverse @ way)
-            wald.append(square / len(of))
-            chances.append(min(1.0, looked_at * float(chi2.sf(square, len(of)))))
-        order = np.argsort(wald)[::-1]
-        return replace(rung, terms=tuple(rung.terms[i] for i in order)), [chances[i] for i in order]
+        none = {name: self._problem.space.fixed[name] for term in rung.terms for name in term.parameters}
+        way = linear.point - starting_point(self._problem, rung.problem, {**rung.values, **none})
+        covariance, left, gone = linear.information.covariance, list(rung.terms), list[Term]()
+        chances: list[float] = []
+        while left and not (gone and chances[-1] < CERTAIN):
+            places = [[space.names.index(name) for name in term.parameters] for term in left]
+            inverse = [np.linalg.pinv(covariance[np.ix_(of, of)], hermitian=True) for of in places]
+            squares = [float(way[of] @ one @ way[of]) for of, one in zip(places, inverse, strict=True)]
+            order = np.argsort([-square / len(of) for square, of in zip(squares, places, strict=True)])
+            sure = [min(1.0, looked_at * float(chi2.sf(squares[i], len(places[i])))) for i in order]
+            chances = chances or sure
+            if gone and sure[-1] < CHANCE:
+                break
+            left = [left[i] for i in order]
+            gone.insert(0, left.pop())
+            of = places[order[-1]]
+            follow = covariance[:, of] @ inverse[order[-1]]
+            way, covariance = way - follow @ way[of], covariance - follow @ covariance[of]
+        return replace(rung, terms=(*left, *gone)), chances, len(left)
 
-    def _without_last(self, rung: TermFit) -> TermFit:
-        """Return a rung fitted without its last term: from where it is, and where the others end alone."""
-        terms, alone = rung.terms[:-1], dict(rung.values)
+    def _fitted_near(self, terms: tuple[Term, ...], values: Mapping[str, float]) -> TermFit:
+        """Return a fit with terms, from values by name [SI], and from where the terms end alone."""
+        alone = dict(values)
         for term in reversed(terms):
             alone |= self._found[term]
         problem = freed(self._problem, terms)
-        starts = [starting_point(self._problem, problem, values) for values in (rung.values, alone)]
+        starts = [starting_point(self._problem, problem, each) for each in (values, alone)]
         return self._fitted(terms, problem, np.array(starts))
 
     def _fitted(self, terms: tuple[Term, ...], problem: Problem, starts: FloatArray) -> TermFit:
