@@ -68,7 +68,8 @@ class Profile:
 class Profiles:
     """All profiles in the order of the space, and the best point (n,) that they found [unit cube].
 
-    That point lies below the start by `lowered` [deviance]. `evaluations` counts the simulated points.
+    That point lies below the start by `lowered`, the most that it is for any parameter [deviance].
+    `evaluations` counts the simulated points.
     """
 
     profiles: tuple[Profile, ...]
@@ -146,7 +147,7 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
     least, lowered = min(winner.squares), 0.0
     if least < lowest:
         best = winner.points[int(np.argmin(winner.squares))]
-        lowered = (lowest - least) / float(info.inflation[winner.parameter])
+        lowered = (lowest - least) / float(info.inflation[:found].min())
     out = [
         _profile(problem.space, i, sides[2 * i : 2 * i + 2], best, least, float(info.inflation[i]))
         for i in range(found)

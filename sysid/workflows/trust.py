@@ -107,8 +107,8 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         journal.add(finding)
     wrong = " and ".join(row.name for row in inquiry.stated if row.contradicted)
     for row in rows:
-        if not row.contains(freed_value := inquiry.freed.get(row.name, row.refined)):
-            doubts[row.name].append(f"{freed_value:.4g} without what is stated of {wrong}")
+        if inquiry.freed and not row.contains(value := inquiry.freed[row.name]):
+            doubts[row.name].append(f"{value:.4g} without what is stated of {wrong}")
     bad = any(finding.code == "bad-trial" for finding in inquiry.findings)
     _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks and not bad)
     record = opened.result.provenance
