@@ -221,10 +221,12 @@ def _corrected(
     """Return derivatives (n, m) that agree with the `change` (m,) of the residuals along a `step` (n,).
 
     The least change that does so (Broyden 1965, for residuals of one trial Schubert 1970), where coordinates
-    count by their `curvature` (n, n). A step along which the cost rises by less than `rise` says little: the
-    cost is rough.
+    count by their `curvature` (n, n); those by stated values are kept. A step along which the cost rises by
+    less than `rise` says little: the cost is rough.
     """
     concerns = (layout.kinds[:, None] < 0) | (layout.trials[:, None] == layout.residuals)
+    # Stated values follow every step far along thin valleys; corrected, they would take the others' share.
+    concerns[len(step) - layout.stated :] = False
     along = np.diag(curvature)[:, None] * step[:, None] * concerns
     share = (change - step @ derivatives) / (step @ along + rise)
     return np.asarray(derivatives + along * share)
