@@ -95,9 +95,10 @@ class _Squares:
         return np.ones(residuals.shape[-1])
 
 
-def _walked(known, bend=0.0, iterations=40):
+def _walked(known, bend=0.0, stated=0):
     """Walk to (0.4, 0.5, 0.6, 0.3) from the middle; return cost, derivatives, true ones and populations."""
     matrix, layout, _ = _linear(0.0)
+    layout = layout._replace(stated=stated)
     bottom = np.array([0.4, 0.5, 0.6, 0.3])
     fronts, sizes = Fronts.at(np.full((1, 4), 0.5)), []
 
@@ -107,7 +108,7 @@ def _walked(known, bend=0.0, iterations=40):
         return (away + bend * away**2) @ matrix.T, np.zeros(len(points), bool)
 
     known = known(matrix)[None]
-    drive(descend(fronts, _Squares(), layout, known=known, tolerance=1e-12, iterations=iterations), residuals)
+    drive(descend(fronts, _Squares(), layout, known=known, tolerance=1e-12, iterations=40), residuals)
     return fronts.cost[0], known[0], matrix.T, sizes
 
 
@@ -135,3 +136,11 @@ def test_only_derivatives_that_are_not_known_are_taken():
     # Two axes of the first two coordinates, central; nothing of the slopes of both trials.
     assert sizes[1] == 4
     np.testing.assert_allclose(derivatives, true, atol=1e-3)
+
+
+def test_derivatives_by_stated_values_are_kept():
+    # The last two coordinates follow the others along valleys; corrected, they would take their share.
+    cost, derivatives, true, _ = _walked(lambda matrix: matrix.T * [[1.1], [1.0], [0.9], [0.9]], stated=2)
+    assert cost < 1e-9
+    np.testing.assert_array_equal(derivatives[2:], 0.9 * true[2:])
+    assert np.abs(derivatives[:2] - true[:2] * [[1.1], [1.0]]).max() > 1e-3
