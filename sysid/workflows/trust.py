@@ -248,7 +248,11 @@ def _notice_trials(
         )
         for row in rows:
             doubts[row.name].append(f"{names[t]} fits unlike the other trials")
-    for t, far in trials.held_by:
+    for t, farthest in trials.held_by:
+        # Where noise explains the trials, a move inside an interval is no news: valleys are long.
+        far = [i for i in farthest if lacks or not rows[i].contains(without[t, i])]
+        if not far:
+            continue
         moved = ", ".join(
             f"{rows[i].symbol} {without[t, i]:.4g} instead of {rows[i].refined:.4g}" for i in far[:3]
         )
