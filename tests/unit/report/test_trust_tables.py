@@ -67,7 +67,9 @@ def test_what_is_free_or_has_a_range_is_not_taken_as_exact():
 @pytest.mark.parametrize("kind", ["gear", "motor"])
 def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
     words = find_kind(kind).words
-    rows = [FreeParameter.model_construct(name="p", symbol="p", refined=0.5)]
+    # Without the last trial the parameter is 0.3, outside.
+    interval = {"interval_95": [0.4, 0.6], "open_95": [False, False], "verdict": "weakly"}
+    rows = [FreeParameter.model_construct(name="p", symbol="p", refined=0.5, **interval)]
     odd = Influence(np.array([1.0, 1.0, 4.0]), np.full((3, 1), 0.3), np.array([[0.0], [0.0], [9.0]]))
     with Journal() as journal:
         _notice_trials(("a", "b", "c"), odd.without, odd, rows, {"p": []}, words, lacks=False)
@@ -79,6 +81,11 @@ def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
         word for word in ("bounce", "release", "slope") if any(word in sentence for sentence in sentences)
     ]
     assert of_drops == (["bounce", "release", "slope"] if kind == "gear" else [])
+    # Inside its interval the move is no news: one sentence less.
+    wide = [rows[0].model_copy(update={"interval_95": [0.2, 0.6]})]
+    with Journal() as journal:
+        _notice_trials(("a", "b", "c"), odd.without, odd, wide, {"p": []}, words, lacks=False)
+    assert not any("hangs on" in sentence for sentence in journal.sentences())
 
 
 def test_two_ratios_of_one_channel_say_what_parts_them():
