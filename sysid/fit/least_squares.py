@@ -225,7 +225,7 @@ def _corrected(
     less than `rise` says little: the cost is rough.
     """
     concerns = (layout.kinds[:, None] < 0) | (layout.trials[:, None] == layout.residuals)
-    # Stated values follow every step far along thin valleys; corrected, they would take the others' share.
+    # Along a thin valley stated values move with every step; they would take corrections of the others.
     concerns[len(step) - layout.stated :] = False
     along = np.diag(curvature)[:, None] * step[:, None] * concerns
     share = (change - step @ derivatives) / (step @ along + rise)

@@ -100,7 +100,8 @@ def _call(place: ast.AST, *arguments: ast.expr) -> ast.expr:
     return ast.copy_location(ast.Call(function, list(arguments), []), place)
 
 
-# Of a function that only compiled ones call: a door from Python takes as long to compile as what it does.
+# Options of a function that only compiled functions call. Its wrapper for Python would take as long to
+# compile as the function itself.
 INSIDE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
@@ -115,7 +116,7 @@ def fused(function: Callable[..., object]) -> Any:
 
 
 def _inside(function: Any, compiled: object, options: Any) -> Any:
-    # With literals: the compiler unrolls loops over the stages of a step.
+    # `prefer_literal` lets the compiler unroll loops over the stages of a step.
     overload(function, options, strict=False, prefer_literal=True)(lambda *arguments: compiled)
     return function
 
