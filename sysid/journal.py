@@ -203,8 +203,12 @@ _OPEN: ContextVar[Journal | None] = ContextVar("journal", default=None)
 def notice(
     code: str, sentence: str, *, trial: str = "", size: float = 0.0, parameters: tuple[str, ...] = ()
 ) -> None:
-    """Add a `Finding` to the open journal; without one, issue a `SysidWarning`, which Python prints."""
-    finding = Finding(code, sentence, trials=(trial,) if trial else (), size=size, parameters=parameters)
+    """Make a `Finding` and `hear` it."""
+    hear(Finding(code, sentence, trials=(trial,) if trial else (), size=size, parameters=parameters))
+
+
+def hear(finding: Finding) -> None:
+    """Add a finding to the open journal; without one, issue a `SysidWarning`, which Python prints."""
     journal = _OPEN.get()
     if journal is not None:
         journal.add(finding)

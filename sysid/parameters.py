@@ -181,10 +181,16 @@ class SearchSpace:
         for name, value in stated.items():
             reach, row = _FARTHEST_PULL * value.error, table[name]
             low = max(value - reach, _LEAST_SHARE * value) if row.lower >= 0 else value - reach
-            rows.append(replace(row, lower=float(low), upper=float(value + reach), scale="linear"))
+            low, nominal, high = map(float, (low, value, value + reach))
+            rows.append(replace(row, lower=low, nominal=nominal, upper=high, scale="linear"))
         fixed = {name: value for name, value in self.fixed.items() if name not in stated}
         fixed |= {row.name: row.nominal for row in more if row.name not in stated}
         return SearchSpace(table, (*self.free, *rows), fixed, {**self.stated, **stated})
+
+    def starting(self, values: Mapping[str, float]) -> SearchSpace:
+        """Return the space whose search keeps stated values elsewhere until its finisher [their unit]."""
+        free = [replace(row, nominal=values.get(row.name, row.nominal)) for row in self.free]
+        return replace(self, free=tuple(free))
 
     def unstating(self, names: Collection[str]) -> SearchSpace:
         """Return the space in which the search looks for some rows, whatever is stated of them."""

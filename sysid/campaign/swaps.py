@@ -20,6 +20,8 @@ class Swap:
     # Entries to exchange, and numbers with what is added to them.
     exchanged: tuple[tuple[Place, Place], ...] = ()
     moved: tuple[tuple[Place, float], ...] = ()
+    # Whether it is one of several heights.
+    of_height: bool = False
 
     def undone(self, campaign: Any) -> Any:
         """Return a campaign without the mistake."""

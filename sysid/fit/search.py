@@ -118,8 +118,7 @@ class _Run:
         space = self.objective.space
         n_free, n_found = len(space.free), len(space.found)
         # Only least squares moves what the campaign states; a search without a finisher moves nothing of it.
-        nominal = [row.nominal for row in space.found]
-        kept_values = space.encode(np.array([*nominal, *space.stated.values()]))[n_found:]
+        kept_values = space.encode(np.array([row.nominal for row in space.free]))[n_found:]
         if self.checkpoint is not None:
             self.best = self.checkpoint.best(self.run, n_free)
         stages: list[StageHistory] = []

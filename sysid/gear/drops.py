@@ -14,14 +14,16 @@ from sysid.campaign import GearCampaign, GearTrial
 from sysid.campaign.common import TrialUse
 from sysid.campaign.file import resolve_log
 from sysid.campaign.logs import CaptureLogOptions, load_stated, warn_of_idle_options
+from sysid.campaign.swaps import Swap
 from sysid.errors import LogError, SysidError
 from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget
 from sysid.gear.model import parameters_on
 from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle, notice_slope
 from sysid.gear.swaps import swaps
-from sysid.journal import Journal, note, notice
+from sysid.journal import Journal, hear, note, notice
 from sysid.recording import Recording
+from sysid.stated import error_of
 from sysid.trials.capture import (
     CaptureFrame,
     PlanarMotion,
@@ -36,7 +38,7 @@ from sysid.trials.look import inspect_recording
 from sysid.types import FloatArray
 
 # Time from the touchdown to the visible end of free fall [s]: the legs yield first.
-_YIELDING = 0.01
+_YIELDING = 0.017
 # Times before and after the touchdown beyond which the end of free fall points to a wrong surface plane [s].
 _EARLY_LATE = (-0.006, 0.035)
 # Distance [m] of the surface from where free fall ends from which on a drop is doubted, the largest one that
@@ -131,26 +133,39 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
     if campaign.surface.rest_log is not None:
         rest = read_once(campaign.surface.rest_log, None, "{}")
     drops: list[PreparedDrop] = []
-    for trial in campaign.trials:
-        recording = read(trial)
-        try:
-            drops.append(_Preparation(campaign, trial, recording, rest).drop())
-        except LogError:
-            # A misstated value of the campaign is the likely cause, so it is named first.
-            seen = inspect_recording(recording, campaign.vehicle.gravity)
-            notice_odd_vehicle(campaign)
-            notice_contradictions(campaign, trial, seen.drop)
-            _notice_swap(campaign, read, rest)
-            raise
-    if not all(drop.touches_in_time for drop in drops):
-        _notice_swap(campaign, read, rest)
+    refusal: LogError | None = None
+    with Journal() as first:
+        for trial in campaign.trials:
+            recording = read(trial)
+            try:
+                drops.append(_Preparation(campaign, trial, recording, rest).drop())
+            except LogError as reason:
+                # A misstated value of the campaign is the likely cause, so it is named first.
+                seen = inspect_recording(recording, campaign.vehicle.gravity)
+                notice_odd_vehicle(campaign)
+                notice_contradictions(campaign, trial, seen.drop)
+                refusal = reason
+                break
+    if refusal is not None or not all(drop.touches_in_time for drop in drops):
+        height = _noticed_height(campaign, read, rest)
+        if height is not None and error_of(campaign.vehicle.foot_dz) > 0:
+            # The stated height moves in the fit, which starts where the drops can be read.
+            moved = height.undone(campaign)
+            return tuple(_Preparation(moved, trial, read(trial), rest).drop() for trial in moved.trials)
+    for finding in first.findings:
+        hear(finding)
+    if refusal is not None:
+        raise refusal
     return tuple(drops)
 
 
-def _notice_swap(
+def _noticed_height(
     campaign: GearCampaign, read: Callable[[GearTrial], Recording], rest: Recording | None
-) -> None:
-    """Notice a mistake without which the feet of every drop touch where free fall ends."""
+) -> Swap | None:
+    """Notice the mistake without which the feet of every drop touch where free fall ends.
+
+    Return the height that may be it, None where it is another one.
+    """
 
     def error(stated: GearCampaign, k: int) -> float:
         with suppress(SysidError), Journal():
@@ -159,27 +174,31 @@ def _notice_swap(
         return np.inf
 
     places, found = range(len(campaign.trials)), []
-    too_high = np.array([error(campaign, k) for k in places])
-    before, seen = np.abs(too_high), np.isfinite(too_high)
+    before = np.array([abs(error(campaign, k)) for k in places])
     wrong = before > _OUT_OF_PLACE
-    for swap in swaps(campaign, float(np.median(too_high[seen])) if seen.any() else 0.0):
+    for swap in swaps(campaign):
         other, after = swap.undone(campaign), before.copy()
         changed = [k for k in places if other.trials[k] != campaign.trials[k]]
-        # A single drop does not speak against what all have in common.
-        if np.count_nonzero(wrong) < 2 and not changed:
+        # A single drop that can be read does not speak against what all have in common.
+        if np.count_nonzero(wrong) < 2 and np.isfinite(before).all() and not changed:
             continue
         if not np.delete(wrong, changed).any() or not changed:
             after[changed or places] = [abs(error(other, k)) for k in changed or places]
-            found.append((float(after.max()), swap.title))
-    found = [(error, title) for error, title in sorted(found) if error < _IN_PLACE]
-    near = [title for error, title in found if error < found[0][0] + _AS_NEAR]
-    if near:
-        others = f" (so do they with {' or '.join(near[1:])})" if near[1:] else ""
-        notice(
-            "contradicts-swapped",
-            f"all drops touch where free fall ends, within {1000 * found[0][0]:.0f} mm, with "
-            f"{near[0]}{others}: check the campaign",
-        )
+            found.append((float(after.max()), float(after.mean()), swap))
+    # Of the heights the one that is best in the mean stands for all.
+    heights = sorted((one for one in found if one[2].of_height), key=lambda one: one[1])[:1]
+    found = sorted((one for one in found if not one[2].of_height or one in heights), key=lambda one: one[0])
+    near = [one for one in found if one[0] < min(_IN_PLACE, found[0][0] + _AS_NEAR)]
+    if not near:
+        return None
+    titles = [swap.title for _, _, swap in near]
+    others = f" (so do they with {' or '.join(titles[1:])})" if titles[1:] else ""
+    notice(
+        "contradicts-swapped",
+        f"all drops touch where free fall ends, within {1000 * near[0][0]:.0f} mm, with "
+        f"{titles[0]}{others}: check the campaign",
+    )
+    return next((swap for _, _, swap in near if swap.of_height), None)
 
 
 def read_drop_log(campaign: GearCampaign, path: Path, body: str | None, options: str) -> Recording:

@@ -45,10 +45,11 @@ _FOOT_FROM_POINT = 0.3
 
 
 def _open(campaign: GearCampaign, path: Path, threads: int | None) -> GearProblem:
-    space = gear_space(campaign)
     # Refused before the drops are read.
+    gear_space(campaign)
     campaign.parameters.measured_ranges(PARAMETERS)
-    problem = GearProblem(campaign, space, prepare_drops(campaign, path), threads)
+    drops = prepare_drops(campaign, path)
+    problem = GearProblem(campaign, gear_space(campaign, drops), drops, threads)
     notice_out_of_plane(problem)
     return problem
 

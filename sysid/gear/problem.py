@@ -80,8 +80,10 @@ def prepare_kernel(law: str) -> None:
     prepare(law)
 
 
-def gear_space(campaign: GearCampaign) -> SearchSpace:
+def gear_space(campaign: GearCampaign, drops: Sequence[PreparedDrop] = ()) -> SearchSpace:
     """Return the free parameters of a campaign and the values of all others.
+
+    The search starts with the height of the feet with which the `drops` could be read.
 
     Raises CampaignError for an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a
     measured value, and a free parameter on which no drop depends.
@@ -96,7 +98,8 @@ def gear_space(campaign: GearCampaign) -> SearchSpace:
                 f"parameters.free: nothing in a drop on surface.law {law!r} depends on {name}; remove it "
                 "from the list"
             )
-    return with_stated(space, campaign)
+    space = with_stated(space, campaign)
+    return space.starting({"foot_dz": drops[0].feet.dz}) if drops else space
 
 
 def read_by_laws() -> set[str]:
@@ -215,7 +218,7 @@ class GearProblem(Problem):
         """The problem in which slope, release and place of every drop are rows."""
         trials = tuple(trial.model_copy(update={"use": "fit"}) for trial in self.campaign.trials)
         campaign = self.campaign.model_copy(update={"trials": trials})
-        return replace(self, campaign=campaign, space=gear_space(campaign))
+        return replace(self, campaign=campaign, space=gear_space(campaign, self.drops))
 
     @property
     def exact(self) -> GearProblem:

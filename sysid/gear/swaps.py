@@ -15,10 +15,12 @@ from sysid.trials.capture import CaptureFrame
 _OF_LOG = ("log", "log_options", "rigid_body", "release", "touchdown")
 # Component of an offset below which its sign tells nothing [m].
 _LEAST = 1e-3
+# Heights by which feet, surface or centre of mass may be off [mm].
+_HEIGHTS = range(2, 21, 2)
 
 
-def swaps(campaign: GearCampaign, height: float) -> Iterator[Swap]:
-    """Yield the mistakes that a campaign may contain; its surface seems to lie too high by `height` [m]."""
+def swaps(campaign: GearCampaign) -> Iterator[Swap]:
+    """Yield the mistakes that a campaign may contain."""
     for k, m in combinations(range(len(campaign.trials)), 2):
         one, other = campaign.trials[k], campaign.trials[m]
         names = f"of {one.name} and {other.name} exchanged"
@@ -44,10 +46,11 @@ def swaps(campaign: GearCampaign, height: float) -> Iterator[Swap]:
         for k, m in combinations(range(3), 2):
             title = f"the components {k} and {m} of {point[-1]} exchanged"
             yield Swap(title, (((*point, k), (*point, m)),))
-    if abs(height) > _LEAST:
-        less, lower, higher = ("less", "lower", "higher") if height > 0 else ("more", "higher", "lower")
-        yield Swap(
-            f"foot_dz about {abs(1000 * height):.0f} mm {less}, or the surface as much {lower}, or the "
-            f"centre of mass as much {higher}",
-            moved=((("vehicle", "foot_dz"), -height),),
-        )
+    for height in _HEIGHTS:
+        for sign, less, lower, higher in ((-1, "less", "lower", "higher"), (1, "more", "higher", "lower")):
+            yield Swap(
+                f"foot_dz about {height} mm {less}, or the surface as much {lower}, or the centre of mass as "
+                f"much {higher}",
+                moved=((("vehicle", "foot_dz"), sign * height / 1000),),
+                of_height=True,
+            )
