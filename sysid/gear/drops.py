@@ -140,12 +140,12 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
             try:
                 drops.append(_Preparation(campaign, trial, recording, rest).drop())
             except LogError as reason:
-                # A misstated value of the campaign is the likely cause, so it is named first.
-                seen = inspect_recording(recording, campaign.vehicle.gravity)
-                notice_odd_vehicle(campaign)
-                notice_contradictions(campaign, trial, seen.drop)
                 refusal = reason
                 break
+    if refusal is not None:
+        # A misstated value of the campaign is the likely cause, so it is named first.
+        notice_odd_vehicle(campaign)
+        notice_contradictions(campaign, trial, inspect_recording(recording, campaign.vehicle.gravity).drop)
     if refusal is not None or not all(drop.touches_in_time for drop in drops):
         height = _noticed_height(campaign, read, rest)
         if height is not None and error_of(campaign.vehicle.foot_dz) > 0:
@@ -175,15 +175,18 @@ def _noticed_height(
 
     places, found = range(len(campaign.trials)), []
     before = np.array([abs(error(campaign, k)) for k in places])
-    wrong = before > _OUT_OF_PLACE
+    wrong, seen = before > _OUT_OF_PLACE, np.isfinite(before)
+    single = np.count_nonzero(wrong) < 2
     for swap in swaps(campaign):
         other, after = swap.undone(campaign), before.copy()
         changed = [k for k in places if other.trials[k] != campaign.trials[k]]
-        # A single drop that can be read does not speak against what all have in common.
-        if np.count_nonzero(wrong) < 2 and np.isfinite(before).all() and not changed:
+        # A single drop does not speak against what all have in common, unless the others say the same.
+        if single and not changed and (seen.all() or not swap.of_height):
             continue
         if not np.delete(wrong, changed).any() or not changed:
             after[changed or places] = [abs(error(other, k)) for k in changed or places]
+            if single and not changed and after[seen].sum() >= before[seen].sum():
+                continue
             found.append((float(after.max()), float(after.mean()), swap))
     # Of the heights the one that is best in the mean stands for all.
     heights = sorted((one for one in found if one[2].of_height), key=lambda one: one[1])[:1]

@@ -117,6 +117,23 @@ def test_a_gross_error_is_named_with_the_value_that_the_drops_ask_for(campaign, 
     assert sum(held) >= len(held) - 1
 
 
+@pytest.mark.parametrize(
+    "gross", [{"foot_dz": 13.5, "leg_inertia": 9.5}, {"point[1]": -10.0, "body_inertia": 8.0}]
+)
+def test_two_gross_errors_are_named_though_no_foot_touches_in_time(campaign, gross):
+    # With the stated height feet begin below the surface, or never reach it.
+    path = misstated(campaign, 5, name=f"two-{len(str(gross))}.toml", gross=gross)
+    _, trust = fitted(path)
+    assert trust.adequacy.verdict != "not_explained"
+    wrong = [row for row in trust.stated if row.contradicted]
+    named = {name for row in wrong for name in (row.name, *row.partners)}
+    assert named >= {"surface_dz" if key == "point[1]" else key for key in gross}
+    true = read_truth(campaign.parent)["parameters"]
+    assert sum(row.contains(true[name]) for name, row in trust.by_name.items()) >= 7
+    for row in wrong:
+        assert abs(row.asked - true.get(row.name, row.asked)) < 2.5 * max(row.sigma, 0.1 * row.error)
+
+
 def test_a_parameter_that_a_wrong_statement_bends_is_doubted(tmp_path):
     # The weights of these legs lie beyond a ridge of what the campaign states, by 14 errors too much.
     drone = {

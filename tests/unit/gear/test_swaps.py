@@ -9,6 +9,7 @@ from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import LogError, SysidError
 from sysid.gear.drops import prepare_drops
+from sysid.gear.problem import gear_space
 from sysid.journal import Journal
 
 
@@ -45,6 +46,37 @@ def test_an_exchange_is_named(tmp_path, changes, named):
                                      [('slope = "20 deg"', 'slope = "31 deg"')]])  # fmt: skip
 def test_a_right_campaign_and_one_wrong_slope_are_no_exchange(tmp_path, changes):
     assert heard(tmp_path, *changes) == []
+
+
+@pytest.mark.parametrize("height", [0.169, 0.133])
+def test_drops_are_read_with_the_height_that_fits_them(tmp_path, height):
+    path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
+    text = path.read_text("utf-8")
+    path.write_text(text.replace('foot_dz = "151 mm"', f'foot_dz = "{1000 * height:.0f} mm"'), "utf-8")
+    campaign = read_campaign(path, "gear")
+    with Journal() as journal:
+        drops = prepare_drops(campaign, path)
+    assert all(drop.touches_in_time for drop in drops)
+    assert [drop.feet.dz for drop in drops] == [pytest.approx(0.151, abs=0.003)] * len(drops)
+    assert {finding.code for finding in journal.findings if finding.severity == "warning"} == {
+        "contradicts-swapped"
+    }
+    # The search begins there, and what is stated stays what it was.
+    space = gear_space(campaign, drops)
+    (row,) = (row for row in space.free if row.name == "foot_dz")
+    assert row.nominal == drops[0].feet.dz
+    assert float(space.stated["foot_dz"]) == pytest.approx(height)
+
+
+def test_an_exact_height_is_not_moved(tmp_path):
+    path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
+    text = path.read_text("utf-8").replace('foot_dz = "151 mm"', 'foot_dz = "169 mm exact"')
+    path.write_text(text, "utf-8")
+    refused = pytest.raises(
+        LogError, match=r"below the surface .* the likely cause: .* foot_dz about 18 mm less"
+    )
+    with refused, Journal() as journal, journal.blaming():
+        prepare_drops(read_campaign(path, "gear"), path)
 
 
 def test_a_refusal_names_the_exchange(tmp_path):
