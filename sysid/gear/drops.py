@@ -146,7 +146,9 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
         # A misstated value of the campaign is the likely cause, so it is named first.
         notice_odd_vehicle(campaign)
         notice_contradictions(campaign, trial, inspect_recording(recording, campaign.vehicle.gravity).drop)
-    if refusal is not None or not all(drop.touches_in_time for drop in drops):
+    # Soft legs yield for long, but none before it touches.
+    early = any(drop.surface_error < -_OUT_OF_PLACE for drop in drops)
+    if refusal is not None or early or not all(drop.touches_in_time for drop in drops):
         height = _noticed_height(campaign, read, rest)
         if height is not None and error_of(campaign.vehicle.foot_dz) > 0:
             # The stated height moves in the fit, which starts where the drops can be read.
