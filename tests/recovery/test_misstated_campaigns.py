@@ -7,7 +7,7 @@ from functools import cache
 
 import pytest
 
-from fakes.lab import misstated
+from fakes.lab import GOOD_LAB, misstated
 from fakes.places import SAMPLES
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.trust.documents import TrustDocument
@@ -34,7 +34,8 @@ def campaign(tmp_path_factory):
 def fitted(path, **options):
     """The fit of a campaign by one run, and its intervals."""
     out = path.with_suffix("")
-    result, folder = fit_gear(path, FitOptions(out=out, runs=1, seed=1, quiet=True, check=False, **options))
+    chosen = {"runs": 1, "seed": 1, "quiet": True, "check": False, **options}
+    result, folder = fit_gear(path, FitOptions(out=out, **chosen))
     text = (folder / "trust.json").read_text(encoding="utf-8")
     return result, TrustDocument.parse(text, folder / "trust.json", ValueError)
 
@@ -115,6 +116,23 @@ def test_a_gross_error_is_named_with_the_value_that_the_drops_ask_for(campaign, 
     # The wrong statement lets go, so that no parameter follows it: seven of eight intervals at least.
     held = [row.contains(parameters[name]) for name, row in trust.by_name.items()]
     assert sum(held) >= len(held) - 1
+
+
+def test_small_errors_of_true_values_change_nothing(campaign):
+    # The drops know the geometry to a hundredth of a good lab's errors: these are a thousandth.
+    size = {key: error.split() for key, error in GOOD_LAB.items()}
+    small = {key: f"{float(number) / 1000:g} {unit}" for key, (number, unit) in size.items()}
+    results = {}
+    for name, options in (("small", {}), ("exact", {"exact": True})):
+        path = misstated(campaign, 0, name=f"{name}.toml", errors=small)
+        results[name], trust = fitted(path, runs=5, **options)
+        assert trust.adequacy.verdict == "explained"
+        # Five of five runs agree.
+        assert max(results[name].nrmse) < 1.0003 * min(results[name].nrmse)
+    for name, row in trust.by_name.items():
+        if row.low and row.high:
+            small, exact = (result.known[name].values[0] for result in results.values())
+            assert abs(small - exact) < 0.2 * (row.high - row.low) / 3.92
 
 
 @pytest.mark.parametrize(
