@@ -9,7 +9,7 @@ intervals contain the truth or are declared not interpretable, and by how much m
 noise explains the drops). Without foreign terms the model is right. Foreign terms come from
 `fakes.foreign_gear`, which has no code of the kernel and smooths dry friction in another way.
 
-Measured on low friction, 26 to 33 s of processor time a ladder:
+Measured on low friction, 11 to 19 s of processor time a ladder on an idle machine:
 
 | truth | seeds | first term right | NRMSE within 1.15 x noise | parameters within 3 and 8 % |
 |---|---|---:|---:|---:|
