@@ -187,9 +187,12 @@ class SearchSpace:
         fixed |= {row.name: row.nominal for row in more if row.name not in stated}
         return SearchSpace(table, (*self.free, *rows), fixed, {**self.stated, **stated})
 
-    def starting(self, values: Mapping[str, float]) -> SearchSpace:
-        """Return the space whose search keeps stated values elsewhere until its finisher [their unit]."""
-        free = [replace(row, nominal=values.get(row.name, row.nominal)) for row in self.free]
+    def starting(self, name: str, value: float) -> SearchSpace:
+        """Return the space whose search keeps a stated value near another [its unit] until its finisher."""
+        free = [
+            replace(row, nominal=min(max(value, row.lower), row.upper)) if row.name == name else row
+            for row in self.free
+        ]
         return replace(self, free=tuple(free))
 
     def unstating(self, names: Collection[str]) -> SearchSpace:

@@ -99,7 +99,7 @@ def gear_space(campaign: GearCampaign, drops: Sequence[PreparedDrop] = ()) -> Se
                 "from the list"
             )
     space = with_stated(space, campaign)
-    return space.starting({"foot_dz": drops[0].feet.dz}) if drops else space
+    return space.starting("foot_dz", drops[0].feet.dz) if drops else space
 
 
 def read_by_laws() -> set[str]:
