@@ -26,7 +26,7 @@ Scale = Literal["linear", "log"]
 # A value within this share of the unit-cube edge counts as lying at its bound.
 AT_BOUND = 0.01
 # Distance of a stated value's bounds from the value [its standard errors], and the least share of it.
-_FARTHEST_PULL, _LEAST_SHARE = 20.0, 0.05
+FARTHEST_PULL, _LEAST_SHARE = 20.0, 0.05
 # Distance from a stated value from which on its statement is a slip rather than chance [standard errors].
 _SLIP = 3.0
 
@@ -179,7 +179,7 @@ class SearchSpace:
         table = ParameterTable([*self.table.values(), *more], self.table.derived)
         rows = []
         for name, value in stated.items():
-            reach, row = _FARTHEST_PULL * value.error, table[name]
+            reach, row = FARTHEST_PULL * value.error, table[name]
             low = max(value - reach, _LEAST_SHARE * value) if row.lower >= 0 else value - reach
             low, nominal, high = map(float, (low, value, value + reach))
             rows.append(replace(row, lower=low, nominal=nominal, upper=high, scale="linear"))

@@ -55,9 +55,12 @@ def typical_error(error: str, value: float, expected: str) -> float:
 
 def _parted(text: str) -> tuple[str, str | None]:
     """Return the texts of a quantity and of its error; None where the text states none."""
-    if exact := re.fullmatch(r"\s*(.*\S)\s+exact\s*", text):
+    exact = re.fullmatch(r"\s*(.*\S)\s+exact\s*", text)
+    if exact and not ERROR_SIGN.search(text):
         return exact[1], "0"
     quantity, *errors = (part.strip() for part in ERROR_SIGN.split(text, maxsplit=1))
+    if errors and (ERROR_SIGN.search(errors[0]) or errors[0].endswith("exact")):
+        raise UnitError(f"{text!r} states two errors; write one standard deviation")
     if not errors:
         return text, None
     # In "20 ± 0.2 deg" the unit belongs to both.
@@ -70,7 +73,7 @@ def _error(error: str, value: float, expected: str, text: str) -> float:
     number = re.fullmatch(rf"({NUMBER})\s*(.*)", error)
     if number and number[1].startswith("-"):
         raise UnitError(f"the error in {text!r} is negative; write its size, one standard deviation")
-    if number and float(number[1]) == 0.0:
+    if number and float(number[1]) == 0.0 and number[2] in ("", "%"):
         return 0.0
     if number and "%" in error:
         if number[2] != "%" or "%" in ERROR_SIGN.split(text)[0] or value == 0:

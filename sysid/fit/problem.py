@@ -328,7 +328,9 @@ class Problem(ABC):
     @property
     def base(self) -> FloatArray:
         """(n_table,) what the campaign itself knows of every parameter, else the model's default [SI]."""
-        values = {**self.space.table.nominal, **self.stated, **self.space.fixed, **self.space.stated}
+        # Of what is stated with an error the place where a search starts, as its trials were read.
+        stated = {row.name: row.nominal for row in self.space.free if row.name in self.space.stated}
+        values = {**self.space.table.nominal, **self.stated, **self.space.fixed, **stated}
         return np.array([values[name] for name in self.space.table])
 
     def adopt(self, fit: FitResult, values: FloatArray | None = None) -> FloatArray:
@@ -367,7 +369,8 @@ class Problem(ABC):
             if name in row_logs and row_logs[name] not in seen:
                 continue
             searched = record.status == "free" or (
-                record.status == "stated" and self.base[column[name]] == record.nominal
+                record.status == "stated"
+                and self.space.stated.get(name, self.base[column[name]]) == record.nominal
             )
             kept = name in known and (not searched or instrument)
             # The mean delay of a fit is derived from the delays of its logs.

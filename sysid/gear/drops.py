@@ -14,7 +14,6 @@ from sysid.campaign import GearCampaign, GearTrial
 from sysid.campaign.common import TrialUse
 from sysid.campaign.file import resolve_log
 from sysid.campaign.logs import CaptureLogOptions, load_stated, warn_of_idle_options
-from sysid.campaign.swaps import Swap
 from sysid.errors import LogError, SysidError
 from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget
@@ -23,7 +22,6 @@ from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle, noti
 from sysid.gear.swaps import swaps
 from sysid.journal import Journal, hear, note, notice
 from sysid.recording import Recording
-from sysid.stated import error_of
 from sysid.trials.capture import (
     CaptureFrame,
     PlanarMotion,
@@ -43,7 +41,7 @@ _YIELDING = 0.017
 _EARLY_LATE = (-0.006, 0.035)
 # Distance [m] of the surface from where free fall ends from which on a drop is doubted, the largest one that
 # leaves no doubt of another campaign, and the difference of two such distances that tells nothing.
-_OUT_OF_PLACE, _IN_PLACE, _AS_NEAR = 0.008, 0.012, 0.002
+_OUT_OF_PLACE, _IN_PLACE, _AS_NEAR = 0.006, 0.012, 0.002
 # Shortest fall that tells about g [s]: five samples determine it to some 10 %.
 _TELLS_GRAVITY = 0.06
 # Largest relative error of the measured g without a doubt [1].
@@ -107,8 +105,11 @@ def cost_channels(campaign: GearCampaign) -> tuple[CostChannel, ...]:
     )
 
 
-def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDrop, ...]:
+def prepare_drops(campaign: GearCampaign, path: str | Path, reach: float = 0.0) -> tuple[PreparedDrop, ...]:
     """Load, project, filter and cut every drop of a campaign, whose logs are named relative to its file.
+
+    Where a wrong height keeps the feet from touching in time, the drops are read with another foot_dz, if
+    that is within `reach` [m] of the stated one; a fit that starts there finds out which height is wrong.
 
     Raises SysidError for the first drop that cannot be used. A doubtful drop is noticed in the journal: an
     unlikely g, a doubtful touchdown.
@@ -146,14 +147,12 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
         # A misstated value of the campaign is the likely cause, so it is named first.
         notice_odd_vehicle(campaign)
         notice_contradictions(campaign, trial, inspect_recording(recording, campaign.vehicle.gravity).drop)
-    # Soft legs yield for long, but none before it touches.
+    # A body that leaves free fall late may have soft legs; none does before it touches.
     early = any(drop.surface_error < -_OUT_OF_PLACE for drop in drops)
     if refusal is not None or early or not all(drop.touches_in_time for drop in drops):
-        height = _noticed_height(campaign, read, rest)
-        if height is not None and error_of(campaign.vehicle.foot_dz) > 0:
-            # The stated height moves in the fit, which starts where the drops can be read.
-            moved = height.undone(campaign)
-            return tuple(_Preparation(moved, trial, read(trial), rest).drop() for trial in moved.trials)
+        other = _noticed_height(campaign, read, rest, reach)
+        if other is not None:
+            return tuple(_Preparation(other, trial, read(trial), rest).drop() for trial in other.trials)
     for finding in first.findings:
         hear(finding)
     if refusal is not None:
@@ -162,11 +161,11 @@ def prepare_drops(campaign: GearCampaign, path: str | Path) -> tuple[PreparedDro
 
 
 def _noticed_height(
-    campaign: GearCampaign, read: Callable[[GearTrial], Recording], rest: Recording | None
-) -> Swap | None:
+    campaign: GearCampaign, read: Callable[[GearTrial], Recording], rest: Recording | None, reach: float
+) -> GearCampaign | None:
     """Notice the mistake without which the feet of every drop touch where free fall ends.
 
-    Return the height that may be it, None where it is another one.
+    Where that may be a height within `reach` [m], return the campaign with another foot_dz.
     """
 
     def error(stated: GearCampaign, k: int) -> float:
@@ -186,24 +185,31 @@ def _noticed_height(
         if single and not changed and (seen.all() or not swap.of_height):
             continue
         if not np.delete(wrong, changed).any() or not changed:
-            after[changed or places] = [abs(error(other, k)) for k in changed or places]
-            if single and not changed and after[seen].sum() >= before[seen].sum():
-                continue
-            found.append((float(after.max()), float(after.mean()), swap))
+            for k in changed or places:
+                after[k] = abs(error(other, k))
+                if after[k] >= _IN_PLACE:
+                    break
+            worse = single and not changed and after[seen].sum() >= before[seen].sum()
+            if not worse and after.max() < min(_IN_PLACE, before.max() - _AS_NEAR):
+                found.append((float(after.max()), float(after.mean()), swap))
     # Of the heights the one that is best in the mean stands for all.
     heights = sorted((one for one in found if one[2].of_height), key=lambda one: one[1])[:1]
     found = sorted((one for one in found if not one[2].of_height or one in heights), key=lambda one: one[0])
-    near = [one for one in found if one[0] < min(_IN_PLACE, found[0][0] + _AS_NEAR)]
+    near = [one for one in found if one[0] < found[0][0] + _AS_NEAR]
     if not near:
         return None
     titles = [swap.title for _, _, swap in near]
     others = f" (so do they with {' or '.join(titles[1:])})" if titles[1:] else ""
+    height = next((swap.undone(campaign) for _, _, swap in near if swap.of_height), None)
+    if height is not None and abs(height.vehicle.foot_dz - campaign.vehicle.foot_dz) > reach:
+        height = None
     notice(
         "contradicts-swapped",
         f"all drops touch where free fall ends, within {1000 * near[0][0]:.0f} mm, with "
-        f"{titles[0]}{others}: check the campaign",
+        f"{titles[0]}{others}: check the campaign"
+        + ("; they are read with that height, and a fit finds out which one is wrong" if height else ""),
     )
-    return next((swap for _, _, swap in near if swap.of_height), None)
+    return height
 
 
 def read_drop_log(campaign: GearCampaign, path: Path, body: str | None, options: str) -> Recording:

@@ -23,6 +23,7 @@ from sysid.gear.problem import (
     on_surface,
     prepare_kernel,
     read_by_laws,
+    worst_height,
 )
 from sysid.gear.starts import compared_noise
 from sysid.gear.story import GearStory
@@ -46,9 +47,9 @@ _FOOT_FROM_POINT = 0.3
 
 def _open(campaign: GearCampaign, path: Path, threads: int | None) -> GearProblem:
     # Refused before the drops are read.
-    gear_space(campaign)
+    _, reach = worst_height(gear_space(campaign))
     campaign.parameters.measured_ranges(PARAMETERS)
-    drops = prepare_drops(campaign, path)
+    drops = prepare_drops(campaign, path, reach)
     problem = GearProblem(campaign, gear_space(campaign, drops), drops, threads)
     notice_out_of_plane(problem)
     return problem
@@ -78,7 +79,9 @@ def notice_defaults(problem: GearProblem) -> None:
     left = [
         f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
         for name, value in problem.space.fixed.items()
-        if name not in {*given, *NEVER_IN_DROPS} and (name in reads or name not in read_by_laws())
+        if name in PARAMETERS
+        and name not in {*given, *NEVER_IN_DROPS}
+        and (name in reads or name not in read_by_laws())
     ]
     if left:
         notice(

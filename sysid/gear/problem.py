@@ -45,7 +45,7 @@ from sysid.gear.starts import (
 )
 from sysid.gear.stated import Moved, with_stated
 from sysid.journal import Finding
-from sysid.parameters import SearchSpace
+from sysid.parameters import FARTHEST_PULL, SearchSpace
 from sysid.trust.linearized import noise_model
 from sysid.types import FloatArray
 
@@ -73,6 +73,10 @@ _NEVER_TOUCHED, _LEFT_BOARD = 4, 5
 _BEYOND_BOARD = 1.05
 
 
+# Stated heights, and how they move for one more metre of foot_dz [1].
+_HEIGHTS = {"foot_dz": 1.0, "surface_dz": 1.0, "centre_of_mass_dz": -1.0}
+
+
 @cache
 def prepare_kernel(law: str) -> None:
     """Compile or load a law's kernel, once per process, and say so before: it may take a minute."""
@@ -83,7 +87,7 @@ def prepare_kernel(law: str) -> None:
 def gear_space(campaign: GearCampaign, drops: Sequence[PreparedDrop] = ()) -> SearchSpace:
     """Return the free parameters of a campaign and the values of all others.
 
-    The search starts with the height of the feet with which the `drops` could be read.
+    Where the `drops` were read with another height, the search starts there.
 
     Raises CampaignError for an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a
     measured value, and a free parameter on which no drop depends.
@@ -99,7 +103,18 @@ def gear_space(campaign: GearCampaign, drops: Sequence[PreparedDrop] = ()) -> Se
                 "from the list"
             )
     space = with_stated(space, campaign)
-    return space.starting("foot_dz", drops[0].feet.dz) if drops else space
+    moved = drops[0].feet.dz - campaign.vehicle.foot_dz if drops else 0.0
+    if moved:
+        name, _ = worst_height(space)
+        space = space.starting(name, space.stated[name] + _HEIGHTS[name] * moved)
+    return space
+
+
+def worst_height(space: SearchSpace) -> tuple[str, float]:
+    """Return which stated height is known worst, and how far a fit may move it [m]; "" and 0 for none."""
+    errors = {name: space.stated[name].error for name in _HEIGHTS if name in space.stated}
+    name = max(errors, key=lambda name: errors[name], default="")
+    return name, FARTHEST_PULL * errors.get(name, 0.0)
 
 
 def read_by_laws() -> set[str]:

@@ -16,7 +16,7 @@ _OF_LOG = ("log", "log_options", "rigid_body", "release", "touchdown")
 # Component of an offset below which its sign tells nothing [m].
 _LEAST = 1e-3
 # Heights by which feet, surface or centre of mass may be off [mm].
-_HEIGHTS = range(2, 21, 2)
+_HEIGHTS = range(2, 41, 2)
 
 
 def swaps(campaign: GearCampaign) -> Iterator[Swap]:

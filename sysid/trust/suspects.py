@@ -88,7 +88,7 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
             rows = [accusing.get(row.name, row) for row in rows]
             # A wrong value is the likelier cause of both.
             findings = [*again.findings, trial]
-            others += again.suspects
+            others = [*again.suspects, *others]
             freed = again.freed
             evaluations += again.evaluations
         else:

@@ -27,8 +27,8 @@ gross one is of Kv. Measured on 2026-11-28, one run of the search in every fit:
 | one, --law motor | 201-220 | 18 of 20 | 18 | 10 of 10 | 90 of 100 |
 | two | 401-420 | 19 of 20 | 15 | 21 of 21 | 156 of 160 |
 
-The two gross errors of 101-140 that are not named are masses by 5 and 11 g, which an inertia explains as well;
-intervals of `--exact` are wide because the model does not explain the drops, and are declared so.
+The two gross errors of 101-140 that are not named are masses by 5 and 11 g, which an inertia explains as
+well; intervals of `--exact` are wide because the model does not explain the drops, and are declared so.
 """
 
 import argparse

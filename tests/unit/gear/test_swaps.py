@@ -9,7 +9,7 @@ from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import LogError, SysidError
 from sysid.gear.drops import prepare_drops
-from sysid.gear.problem import gear_space
+from sysid.gear.problem import gear_space, worst_height
 from sysid.journal import Journal
 
 
@@ -54,8 +54,11 @@ def test_drops_are_read_with_the_height_that_fits_them(tmp_path, height):
     text = path.read_text("utf-8")
     path.write_text(text.replace('foot_dz = "151 mm"', f'foot_dz = "{1000 * height:.0f} mm"'), "utf-8")
     campaign = read_campaign(path, "gear")
+    # The default error of a ruler, 1 mm, within which foot_dz may move by twenty errors.
+    name, reach = worst_height(gear_space(campaign))
+    assert (name, reach) == ("foot_dz", pytest.approx(0.02))
     with Journal() as journal:
-        drops = prepare_drops(campaign, path)
+        drops = prepare_drops(campaign, path, reach)
     assert all(drop.touches_in_time for drop in drops)
     assert [drop.feet.dz for drop in drops] == [pytest.approx(0.151, abs=0.003)] * len(drops)
     assert {finding.code for finding in journal.findings if finding.severity == "warning"} == {
@@ -68,7 +71,25 @@ def test_drops_are_read_with_the_height_that_fits_them(tmp_path, height):
     assert float(space.stated["foot_dz"]) == pytest.approx(height)
 
 
-def test_an_exact_height_is_not_moved(tmp_path):
+def test_the_height_that_is_known_worst_is_moved(tmp_path):
+    path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
+    text = path.read_text("utf-8").replace('foot_dz = "151 mm"', 'foot_dz = "169 ± 0.5 mm"')
+    path.write_text(text, "utf-8")
+    campaign = read_campaign(path, "gear")
+    drops = prepare_drops(campaign, path, 0.02)
+    starts = {row.name: row.nominal for row in gear_space(campaign, drops).free}
+    assert starts["foot_dz"] == pytest.approx(0.169)
+    assert starts["surface_dz"] == pytest.approx(-0.018, abs=0.003)
+
+
+@pytest.mark.parametrize(("off", "named"), [(5, False), (7, True), (9, True), (-9, True)])
+def test_a_height_is_named_where_feet_touch_out_of_time_and_nothing_else(tmp_path, off, named):
+    sentences = heard(tmp_path, ('foot_dz = "151 mm"', f'foot_dz = "{151 + off} mm"'))
+    assert all(" exchanged" not in sentence for sentence in sentences)
+    assert not named or f"{'less' if off > 0 else 'more'}, or the surface" in sentences[0]
+
+
+def test_a_height_beyond_its_errors_is_not_moved(tmp_path):
     path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
     text = path.read_text("utf-8").replace('foot_dz = "151 mm"', 'foot_dz = "169 mm exact"')
     path.write_text(text, "utf-8")
