@@ -1,5 +1,7 @@
 """Which parameters a gear campaign may free, and between which bounds, on either surface."""
 
+import shutil
+
 import pytest
 
 from fakes.places import SAMPLES
@@ -59,6 +61,20 @@ def test_a_stated_value_that_is_free_is_said_to_be_unused(tmp_path, recwarn):
     assert not [w for w in recwarn if "is stated" in str(w.message)]
     # No drop depends on where the thrust acts.
     assert not [w for w in recwarn if "thrust_point_dx" in str(w.message)]
+
+
+def test_a_drop_with_an_exact_point_of_its_own_has_no_value_of_the_paper(tmp_path, recwarn):
+    path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
+    first = 'slope = "5 deg"'
+    text = path.read_text("utf-8")
+    assert text.count(first) == 1
+    point = 'point = ["364 mm exact", "430.5 mm exact", "-812.5 mm exact"]'
+    path.write_text(text.replace(first, f"{point}\n{first}"), "utf-8")
+    campaign = read_campaign(path, "gear")
+    space = gear_space(campaign)
+    assert "surface_dx[drop-1]" not in space.stated
+    notice_defaults(GearProblem(campaign, space, ()))
+    assert not [w for w in recwarn if "surface_dx" in str(w.message)]
 
 
 def test_a_stated_value_outside_the_surfaces_bounds_is_refused(tmp_path):
