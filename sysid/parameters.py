@@ -26,7 +26,7 @@ Scale = Literal["linear", "log"]
 # A value within this share of the unit-cube edge counts as lying at its bound.
 AT_BOUND = 0.01
 # Distance of a stated value's bounds from the value [its standard errors], and the least share of it.
-FARTHEST_PULL, _LEAST_SHARE = 20.0, 0.05
+_FARTHEST_PULL, _LEAST_SHARE = 20.0, 0.05
 # Distance from a stated value from which on its statement is a slip rather than chance [standard errors].
 _SLIP = 3.0
 
@@ -179,7 +179,7 @@ class SearchSpace:
         table = ParameterTable([*self.table.values(), *more], self.table.derived)
         rows = []
         for name, value in stated.items():
-            reach, row = FARTHEST_PULL * value.error, table[name]
+            reach, row = _FARTHEST_PULL * value.error, table[name]
             low = max(value - reach, _LEAST_SHARE * value) if row.lower >= 0 else value - reach
             low, nominal, high = map(float, (low, value, value + reach))
             rows.append(replace(row, lower=low, nominal=nominal, upper=high, scale="linear"))
@@ -190,7 +190,7 @@ class SearchSpace:
     def starting(self, name: str, value: float) -> SearchSpace:
         """Return the space whose search keeps a stated value near another [its unit] until its finisher."""
         free = [
-            replace(row, nominal=min(max(value, row.lower), row.upper)) if row.name == name else row
+            replace(row, nominal=float(np.clip(value, row.lower, row.upper))) if row.name == name else row
             for row in self.free
         ]
         return replace(self, free=tuple(free))

@@ -23,6 +23,11 @@ class Swap:
     # Whether it is one of several heights.
     of_height: bool = False
 
+    @property
+    def of_slopes(self) -> bool:
+        """Whether it exchanges nothing but slopes."""
+        return bool(self.exchanged) and all(place[-1] == "slope" for pair in self.exchanged for place in pair)
+
     def undone(self, campaign: Any) -> Any:
         """Return a campaign without the mistake."""
         out = campaign

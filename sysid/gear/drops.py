@@ -105,11 +105,14 @@ def cost_channels(campaign: GearCampaign) -> tuple[CostChannel, ...]:
     )
 
 
-def prepare_drops(campaign: GearCampaign, path: str | Path, reach: float = 0.0) -> tuple[PreparedDrop, ...]:
+def prepare_drops(
+    campaign: GearCampaign, path: str | Path, reaches: Callable[[GearCampaign], bool] = lambda other: False
+) -> tuple[PreparedDrop, ...]:
     """Load, project, filter and cut every drop of a campaign, whose logs are named relative to its file.
 
-    Where a wrong height keeps the feet from touching in time, the drops are read with another foot_dz, if
-    that is within `reach` [m] of the stated one; a fit that starts there finds out which height is wrong.
+    Where a wrong height or two exchanged slopes keep the feet from touching in time, the drops are read with
+    another foot_dz or with the slopes exchanged, if a fit `reaches` the stated campaign from there: it finds
+    out what is wrong.
 
     Raises SysidError for the first drop that cannot be used. A doubtful drop is noticed in the journal: an
     unlikely g, a doubtful touchdown.
@@ -150,7 +153,7 @@ def prepare_drops(campaign: GearCampaign, path: str | Path, reach: float = 0.0) 
     # A body that leaves free fall late may have soft legs; none does before it touches.
     early = any(drop.surface_error < -_OUT_OF_PLACE for drop in drops)
     if refusal is not None or early or not all(drop.touches_in_time for drop in drops):
-        other = _noticed_height(campaign, read, rest, reach)
+        other = _noticed_swap(campaign, read, rest, reaches)
         if other is not None:
             return tuple(_Preparation(other, trial, read(trial), rest).drop() for trial in other.trials)
     for finding in first.findings:
@@ -160,12 +163,15 @@ def prepare_drops(campaign: GearCampaign, path: str | Path, reach: float = 0.0) 
     return tuple(drops)
 
 
-def _noticed_height(
-    campaign: GearCampaign, read: Callable[[GearTrial], Recording], rest: Recording | None, reach: float
+def _noticed_swap(
+    campaign: GearCampaign,
+    read: Callable[[GearTrial], Recording],
+    rest: Recording | None,
+    reaches: Callable[[GearCampaign], bool],
 ) -> GearCampaign | None:
     """Notice the mistake without which the feet of every drop touch where free fall ends.
 
-    Where that may be a height within `reach` [m], return the campaign with another foot_dz.
+    Return the campaign without it if that is another height, or other slopes, and a fit `reaches` them.
     """
 
     def error(stated: GearCampaign, k: int) -> float:
@@ -200,16 +206,15 @@ def _noticed_height(
         return None
     titles = [swap.title for _, _, swap in near]
     others = f" (so do they with {' or '.join(titles[1:])})" if titles[1:] else ""
-    height = next((swap.undone(campaign) for _, _, swap in near if swap.of_height), None)
-    if height is not None and abs(height.vehicle.foot_dz - campaign.vehicle.foot_dz) > reach:
-        height = None
+    moving = (swap.undone(campaign) for _, _, swap in near if swap.of_height or swap.of_slopes)
+    other = next(filter(reaches, moving), None)
     notice(
         "contradicts-swapped",
         f"all drops touch where free fall ends, within {1000 * near[0][0]:.0f} mm, with "
         f"{titles[0]}{others}: check the campaign"
-        + ("; they are read with that height, and a fit finds out which one is wrong" if height else ""),
+        + ("; they are read so, and a fit finds out what is wrong" if other else ""),
     )
-    return height
+    return other
 
 
 def read_drop_log(campaign: GearCampaign, path: Path, body: str | None, options: str) -> Recording:

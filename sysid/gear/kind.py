@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,8 @@ from sysid.gear.problem import (
     gear_space,
     on_surface,
     prepare_kernel,
+    reaches,
     read_by_laws,
-    worst_height,
 )
 from sysid.gear.starts import compared_noise
 from sysid.gear.story import GearStory
@@ -47,9 +48,9 @@ _FOOT_FROM_POINT = 0.3
 
 def _open(campaign: GearCampaign, path: Path, threads: int | None) -> GearProblem:
     # Refused before the drops are read.
-    _, reach = worst_height(gear_space(campaign))
+    space = gear_space(campaign)
     campaign.parameters.measured_ranges(PARAMETERS)
-    drops = prepare_drops(campaign, path, reach)
+    drops = prepare_drops(campaign, path, partial(reaches, campaign, space))
     problem = GearProblem(campaign, gear_space(campaign, drops), drops, threads)
     notice_out_of_plane(problem)
     return problem

@@ -43,9 +43,9 @@ from sysid.gear.starts import (
     noise_signals,
     start_roots,
 )
-from sysid.gear.stated import Moved, with_stated
+from sysid.gear.stated import SLOPE, Moved, with_stated
 from sysid.journal import Finding
-from sysid.parameters import FARTHEST_PULL, SearchSpace
+from sysid.parameters import SearchSpace
 from sysid.trust.linearized import noise_model
 from sysid.types import FloatArray
 
@@ -87,7 +87,7 @@ def prepare_kernel(law: str) -> None:
 def gear_space(campaign: GearCampaign, drops: Sequence[PreparedDrop] = ()) -> SearchSpace:
     """Return the free parameters of a campaign and the values of all others.
 
-    Where the `drops` were read with another height, the search starts there.
+    Where the `drops` were read with another height, or with other slopes, the search starts there.
 
     Raises CampaignError for an unknown parameter, a wrong unit, crossed bounds, bounds that exclude a
     measured value, and a free parameter on which no drop depends.
@@ -103,18 +103,40 @@ def gear_space(campaign: GearCampaign, drops: Sequence[PreparedDrop] = ()) -> Se
                 "from the list"
             )
     space = with_stated(space, campaign)
-    moved = drops[0].feet.dz - campaign.vehicle.foot_dz if drops else 0.0
-    if moved:
-        name, _ = worst_height(space)
-        space = space.starting(name, space.stated[name] + _HEIGHTS[name] * moved)
+    if drops:
+        slopes = {drop.name: drop.slope for drop in drops}
+        for name, value in _starts(campaign, space, drops[0].feet.dz, slopes).items():
+            space = space.starting(name, value)
     return space
 
 
-def worst_height(space: SearchSpace) -> tuple[str, float]:
-    """Return which stated height is known worst, and how far a fit may move it [m]; "" and 0 for none."""
-    errors = {name: space.stated[name].error for name in _HEIGHTS if name in space.stated}
-    name = max(errors, key=lambda name: errors[name], default="")
-    return name, FARTHEST_PULL * errors.get(name, 0.0)
+def reaches(campaign: GearCampaign, space: SearchSpace, other: GearCampaign) -> bool:
+    """Return whether a fit in the space of a campaign can start at another height or at other slopes."""
+    rows = {row.name: row for row in space.free if row.name in space.stated}
+    slopes = {trial.name: trial.slope for trial in other.trials if trial.use == "fit"}
+    starts = _starts(campaign, space, other.vehicle.foot_dz, slopes)
+    return all(name in rows and rows[name].lower <= at <= rows[name].upper for name, at in starts.items())
+
+
+def _starts(
+    campaign: GearCampaign, space: SearchSpace, foot_dz: float, slopes: Mapping[str, float | None]
+) -> dict[str, float]:
+    """Return where rows start if drops are read with another height and other slopes by drop [SI].
+
+    Of the stated heights the one moves that is known worst.
+    """
+    stated = {trial.name: trial.slope for trial in campaign.trials}
+    starts = {
+        f"{SLOPE.name}[{name}]": slope
+        for name, slope in slopes.items()
+        if slope is not None and slope != stated[name]
+    }
+    moved = foot_dz - campaign.vehicle.foot_dz
+    if moved:
+        errors = {name: space.stated[name].error for name in _HEIGHTS if name in space.stated}
+        worst = max(errors, key=lambda name: errors[name], default="foot_dz")
+        starts[worst] = space.stated.get(worst, campaign.vehicle.foot_dz) + _HEIGHTS[worst] * moved
+    return starts
 
 
 def read_by_laws() -> set[str]:

@@ -2,14 +2,16 @@
 
 import shutil
 from contextlib import suppress
+from functools import partial
 
+import numpy as np
 import pytest
 
 from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import LogError, SysidError
 from sysid.gear.drops import prepare_drops
-from sysid.gear.problem import gear_space, worst_height
+from sysid.gear.problem import gear_space, reaches
 from sysid.journal import Journal
 
 
@@ -54,11 +56,9 @@ def test_drops_are_read_with_the_height_that_fits_them(tmp_path, height):
     text = path.read_text("utf-8")
     path.write_text(text.replace('foot_dz = "151 mm"', f'foot_dz = "{1000 * height:.0f} mm"'), "utf-8")
     campaign = read_campaign(path, "gear")
-    # The default error of a ruler, 1 mm, within which foot_dz may move by twenty errors.
-    name, reach = worst_height(gear_space(campaign))
-    assert (name, reach) == ("foot_dz", pytest.approx(0.02))
+    # The default error of a ruler is 1 mm, and foot_dz may move by twenty errors.
     with Journal() as journal:
-        drops = prepare_drops(campaign, path, reach)
+        drops = prepare_drops(campaign, path, partial(reaches, campaign, gear_space(campaign)))
     assert all(drop.touches_in_time for drop in drops)
     assert [drop.feet.dz for drop in drops] == [pytest.approx(0.151, abs=0.003)] * len(drops)
     assert {finding.code for finding in journal.findings if finding.severity == "warning"} == {
@@ -76,10 +76,39 @@ def test_the_height_that_is_known_worst_is_moved(tmp_path):
     text = path.read_text("utf-8").replace('foot_dz = "151 mm"', 'foot_dz = "169 ± 0.5 mm"')
     path.write_text(text, "utf-8")
     campaign = read_campaign(path, "gear")
-    drops = prepare_drops(campaign, path, 0.02)
+    drops = prepare_drops(campaign, path, partial(reaches, campaign, gear_space(campaign)))
     starts = {row.name: row.nominal for row in gear_space(campaign, drops).free}
     assert starts["foot_dz"] == pytest.approx(0.169)
     assert starts["surface_dz"] == pytest.approx(-0.018, abs=0.003)
+
+
+def test_a_height_beyond_its_errors_is_not_read(tmp_path):
+    path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
+    text = path.read_text("utf-8").replace('foot_dz = "151 mm"', 'foot_dz = "169 ± 0.5 mm"')
+    path.write_text(
+        text.replace('"430.5 mm"', '"430.5 ± 0.5 mm"').replace('"-22 mm"', '"-22 ± 0.5 mm"'), "utf-8"
+    )
+    campaign = read_campaign(path, "gear")
+    with pytest.raises(LogError, match=r"a foot is .* below the surface"), Journal():
+        prepare_drops(campaign, path, partial(reaches, campaign, gear_space(campaign)))
+
+
+def test_drops_are_read_with_exchanged_slopes_that_a_fit_can_move(tmp_path):
+    path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
+    text = path.read_text("utf-8").replace('slope = "10 deg"', 'slope = "x"')
+    text = text.replace('slope = "12 deg"', 'slope = "10 deg"').replace('slope = "x"', 'slope = "12 deg"')
+    path.write_text(text.replace('use = "validate"', 'use = "fit"'), "utf-8")
+    campaign = read_campaign(path, "gear")
+    with Journal() as journal:
+        drops = prepare_drops(campaign, path, partial(reaches, campaign, gear_space(campaign)))
+    (sentence,) = (one.sentence for one in journal.findings if one.code == "contradicts-swapped")
+    assert "the slopes (or the logs) of drop-2 and drop-7 exchanged" in sentence
+    slopes = {drop.name: np.degrees(drop.slope) for drop in drops}
+    assert (slopes["drop-2"], slopes["drop-7"]) == (pytest.approx(10), pytest.approx(12))
+    space = gear_space(campaign, drops)
+    starts = {row.name: np.degrees(row.nominal) for row in space.free if row.name.startswith("slope")}
+    assert (starts["slope[drop-2]"], starts["slope[drop-7]"]) == (pytest.approx(10), pytest.approx(12))
+    assert np.degrees(space.stated["slope[drop-2]"]) == pytest.approx(12)
 
 
 @pytest.mark.parametrize(("off", "named"), [(5, False), (7, True), (9, True), (-9, True)])
