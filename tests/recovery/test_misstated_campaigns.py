@@ -152,6 +152,25 @@ def test_two_gross_errors_are_named_though_no_foot_touches_in_time(campaign, gro
         assert abs(row.asked - true.get(row.name, row.asked)) < 2.5 * max(row.sigma, 0.1 * row.error)
 
 
+def test_two_exchanged_slopes_are_named_as_exchanged(campaign):
+    path = misstated(campaign, 6, name="exchanged.toml")
+    parts = path.read_text("utf-8").split("\nslope = ")
+    # The first drops have slopes of 5, 10, 15, 20, 27, 35 and 12 deg; the seventh is fitted here.
+    second, seventh = (parts[k].partition("\n") for k in (2, 7))
+    parts[2], parts[7] = (
+        "".join((seventh[0], *second[1:])), "".join((second[0], *seventh[1:])).replace("validate", "fit", 1)
+    )  # fmt: skip
+    path.write_text("\nslope = ".join(parts), "utf-8")
+    _, trust = fitted(path)
+    assert trust.adequacy.verdict == "explained"
+    wrong = {row.name: row for row in trust.stated if row.contradicted}
+    assert wrong.keys() == {"slope[drop-2]", "slope[drop-7]"}
+    assert math.degrees(wrong["slope[drop-2]"].asked) == pytest.approx(10, abs=0.1)
+    assert any("looks exchanged with slope[drop-7]" in one for one in trust.warnings)
+    true = read_truth(campaign.parent)["parameters"]
+    assert sum(row.contains(true[name]) for name, row in trust.by_name.items()) >= 7
+
+
 def test_a_parameter_that_a_wrong_statement_bends_is_doubted(tmp_path):
     # The weights of these legs lie beyond a ridge of what the campaign states, by 14 errors too much.
     drone = {
