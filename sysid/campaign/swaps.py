@@ -20,13 +20,12 @@ class Swap:
     # Entries to exchange, and numbers with what is added to them.
     exchanged: tuple[tuple[Place, Place], ...] = ()
     moved: tuple[tuple[Place, float], ...] = ()
-    # Whether it is one of several heights.
-    of_height: bool = False
 
     @property
-    def of_slopes(self) -> bool:
-        """Whether it exchanges nothing but slopes."""
-        return bool(self.exchanged) and all(place[-1] == "slope" for pair in self.exchanged for place in pair)
+    def keys(self) -> set[str | int]:
+        """Last keys of the entries that it changes: ``{"slope"}`` where slopes are exchanged."""
+        places = [*(place for pair in self.exchanged for place in pair), *(place for place, _ in self.moved)]
+        return {place[-1] for place in places}
 
     def undone(self, campaign: Any) -> Any:
         """Return a campaign without the mistake."""

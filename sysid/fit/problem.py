@@ -328,7 +328,7 @@ class Problem(ABC):
     @property
     def base(self) -> FloatArray:
         """(n_table,) what the campaign itself knows of every parameter, else the model's default [SI]."""
-        # Of what is stated with an error the place where a search starts, as its trials were read.
+        # A value that is stated with an error counts as its trials were read: as it is where a search starts.
         stated = {row.name: row.nominal for row in self.space.free if row.name in self.space.stated}
         values = {**self.space.table.nominal, **self.stated, **self.space.fixed, **stated}
         return np.array([values[name] for name in self.space.table])

@@ -73,7 +73,7 @@ _NEVER_TOUCHED, _LEFT_BOARD = 4, 5
 _BEYOND_BOARD = 1.05
 
 
-# Stated heights, and how they move for one more metre of foot_dz [1].
+# Ways by which each stated height moves the feet as one metre more of foot_dz does [m].
 _HEIGHTS = {"foot_dz": 1.0, "surface_dz": 1.0, "centre_of_mass_dz": -1.0}
 
 
@@ -121,9 +121,9 @@ def reaches(campaign: GearCampaign, space: SearchSpace, other: GearCampaign) -> 
 def _starts(
     campaign: GearCampaign, space: SearchSpace, foot_dz: float, slopes: Mapping[str, float | None]
 ) -> dict[str, float]:
-    """Return where rows start if drops are read with another height and other slopes by drop [SI].
+    """Return where stated rows start if drops are read with another foot_dz and other `slopes` [SI].
 
-    Of the stated heights the one moves that is known worst.
+    Among feet, surface and centre of mass, the height with the largest stated error moves.
     """
     stated = {trial.name: trial.slope for trial in campaign.trials}
     starts = {

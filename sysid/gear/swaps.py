@@ -15,8 +15,8 @@ from sysid.trials.capture import CaptureFrame
 _OF_LOG = ("log", "log_options", "rigid_body", "release", "touchdown")
 # Component of an offset below which its sign tells nothing [m].
 _LEAST = 1e-3
-# Heights by which feet, surface or centre of mass may be off [mm].
-_HEIGHTS = range(2, 41, 2)
+# Distances by which the height of feet, surface or centre of mass may be off [mm].
+_OFF_BY = range(2, 41, 2)
 
 
 def swaps(campaign: GearCampaign) -> Iterator[Swap]:
@@ -46,11 +46,10 @@ def swaps(campaign: GearCampaign) -> Iterator[Swap]:
         for k, m in combinations(range(3), 2):
             title = f"the components {k} and {m} of {point[-1]} exchanged"
             yield Swap(title, (((*point, k), (*point, m)),))
-    for height in _HEIGHTS:
+    for height in _OFF_BY:
         for sign, less, lower, higher in ((-1, "less", "lower", "higher"), (1, "more", "higher", "lower")):
             yield Swap(
                 f"foot_dz about {height} mm {less}, or the surface as much {lower}, or the centre of mass as "
                 f"much {higher}",
                 moved=((("vehicle", "foot_dz"), sign * height / 1000),),
-                of_height=True,
             )

@@ -2,8 +2,8 @@
 
 Each term is added alone. Terms hide one another, so that no order of adding them is safe; those to keep are
 found from above: all are fitted together, and the least certain one is taken away until every one that is
-left is needed. Several terms that may be chance are taken away between two fits: the values of the other
-terms and their covariance are conditioned on the value of none, as in a normal distribution. A term is needed
+left is needed. Several terms that may be chance are taken away between two fits: the other values and their
+covariance are conditioned, as in a normal distribution, on the value of a term that is off. A term is needed
 where
 
 * its value differs from none by more than chance: a Wald test with the covariance of

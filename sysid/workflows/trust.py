@@ -249,7 +249,7 @@ def _notice_trials(
         for row in rows:
             doubts[row.name].append(f"{names[t]} fits unlike the other trials")
     for t, farthest in trials.held_by:
-        # Where noise explains the trials, the interval of a parameter already states such a move.
+        # If noise explains the trials, a move inside the interval says no more than the interval does.
         far = [i for i in farthest if lacks or not rows[i].contains(without[t, i])]
         if not far:
             continue

@@ -11,7 +11,7 @@ from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import LogError, SysidError
 from sysid.gear.drops import prepare_drops
-from sysid.gear.problem import gear_space, reaches
+from sysid.gear.problem import GearProblem, gear_space, reaches
 from sysid.journal import Journal
 
 
@@ -69,6 +69,9 @@ def test_drops_are_read_with_the_height_that_fits_them(tmp_path, height):
     (row,) = (row for row in space.free if row.name == "foot_dz")
     assert row.nominal == drops[0].feet.dz
     assert float(space.stated["foot_dz"]) == pytest.approx(height)
+    # A fit of other drops predicts these with the height with which they were read.
+    problem = GearProblem(campaign, space, drops)
+    assert problem.base[space.table.index["foot_dz"]] == drops[0].feet.dz
 
 
 def test_the_height_that_is_known_worst_is_moved(tmp_path):
