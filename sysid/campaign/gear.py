@@ -12,7 +12,6 @@ from sysid.campaign.common import (
     CostTable,
     FitTable,
     Frequency,
-    Length,
     Measured,
     PositiveLength,
     PositiveTime,
@@ -68,6 +67,10 @@ class Capture(CaptureLogOptions):  # type: ignore[misc]
     rate: Frequency | None = None
     # An offset that is left out is stated to be 0, with the typical error.
     centre_of_mass_offset: Point = Field(default=("0 m",) * 3, validate_default=True)
+    # Angle by which what the capture calls up leans down-slope.
+    tilt: Annotated[float, Measured("rad", "0.1 deg", "spirit level on the calibration square")] = Field(
+        default="0 deg", validate_default=True
+    )
     level: Literal["release", "capture"] = "release"
 
     @model_validator(mode="after")
@@ -88,7 +91,7 @@ class SurfaceTable(TomlTable):
     slip_regularization: Speed | None = None
     point: Point | None = None
     markers: tuple[str, ...] | None = None
-    marker_height: Length = 0.0
+    marker_height: _Place = Field(default="0 m", validate_default=True)
     rest_log: str | None = None
     board_length: PositiveLength | None = None
 

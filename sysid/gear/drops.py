@@ -79,6 +79,8 @@ class PreparedDrop:
     provenance: dict[str, object]
     # (3, 3) mean rotation before the touchdown, in (x, y, z), from where the body's axes are the capture's.
     attitude: FloatArray
+    # Whether pitch counts from the hold, which is level, and not from the capture's axes.
+    levelled: bool
 
     @property
     def slope(self) -> float:
@@ -273,16 +275,17 @@ class _Preparation:
     ) -> None:
         self.campaign, self.trial, self.recording, self.rest = campaign, trial, recording, rest
         self.where = f"{recording.provenance.path}, trial {trial.name!r}"
-        self.frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
+        capture = campaign.capture
+        self.frame = CaptureFrame(capture.up, trial.down_slope or capture.down_slope, capture.tilt)
         motion = self._spatial(recording, trial.rigid_body or trial.log_options.rigid_body)
         self.notes = [*recording.provenance.notes, *motion.notes]
         slope, point = self._surface()
         self.feet = Feet(campaign.vehicle.foot_dx, campaign.vehicle.foot_dz, slope)
         gravity = campaign.vehicle.gravity
         hold = find_fall(motion, gravity, self.where, trial.release)
-        levels = hold.stop > hold.start and campaign.capture.level == "release"
+        self.levels = levels = hold.stop > hold.start and capture.level == "release"
         # A file's zero is where the body's axes are the capture's.
-        level = held_level(motion, hold) if levels else self.frame.matrix
+        level = held_level(motion, hold) if levels else self.frame.axes
         self.motion = planar_motion(motion, point, level)
         self.flight, touchdown = fit_flight(self.motion, self.feet, hold, gravity, self.where, levels)
         self.touchdown = touchdown if trial.touchdown is None else trial.touchdown
@@ -331,6 +334,7 @@ class _Preparation:
                 "notes": list(map(str, self.notes)),
             },
             attitude=self.attitude,
+            levelled=self.levels,
         )
         self._doubt(drop)
         return drop

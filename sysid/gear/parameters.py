@@ -11,6 +11,7 @@ _LF = "Table II, low friction, mean of five fits; bounds guessed"
 # Numbers of the capture that a fit may move (`sysid.gear.stated`), without the drop.
 CAPTURED = (
     "slope", "release_delay", "centre_of_mass_dx", "centre_of_mass_dz", "surface_dx", "surface_dz",
+    "capture_tilt",
 )  # fmt: skip
 
 

@@ -102,7 +102,7 @@ def gear_space(campaign: GearCampaign, drops: Sequence[PreparedDrop] = ()) -> Se
                 f"parameters.free: nothing in a drop on surface.law {law!r} depends on {name}; remove it "
                 "from the list"
             )
-    space = with_stated(space, campaign)
+    space = with_stated(space, campaign, drops)
     if drops:
         slopes = {drop.name: drop.slope for drop in drops}
         for name, value in _starts(campaign, space, drops[0].feet.dz, slopes).items():

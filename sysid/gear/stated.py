@@ -1,9 +1,9 @@
 """What a lab measures around a drop: values that its campaign states with an error, and which a fit moves.
 
 Besides masses, lengths and friction, which are rows of the model's table, these are slope and release of each
-drop, the body's centre of mass and the place of the surface. The log is prepared once, with the values as
-stated. A candidate with other values is simulated from where they put the body at the start, and its signals
-are brought back to where the capture would have seen them.
+drop, the body's centre of mass, the place of the surface and the tilt of the capture's axes. The log is
+prepared once, with the values as stated. A candidate with other values is simulated from where they put the
+body at the start, and its signals are brought back to where the capture would have seen them.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from sysid.campaign import GearCampaign
 from sysid.campaign.gear import Point
 from sysid.fit.trial import name_order
 from sysid.gear.drops import PreparedDrop
-from sysid.gear.parameters import CAPTURED
+from sysid.gear.parameters import CAPTURED, PARAMETERS
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
-from sysid.stated import Stated, error_of
+from sysid.stated import Stated, error_of, typical_error
 from sysid.trials.capture import CaptureFrame
-from sysid.types import FloatArray
+from sysid.types import BoolArray, FloatArray
 
 
 def _captured(name: str, symbol: str, unit: str, meaning: str) -> Parameter:
@@ -39,12 +39,17 @@ SURFACE = (
     _captured("surface_dx", "δx_s", "m", "Surface's point beyond its stated place, down-slope."),
     _captured("surface_dz", "δz_s", "m", "Surface's point above its stated place."),
 )
+TILT = _captured("capture_tilt", "δτ", "rad", "Lean of the capture's up beyond the stated one, down-slope.")
+# Errors of a slope that board markers show, and of the sag of the legs in a rest log.
+_BOARD_ERROR, _SAG_ERROR = "0.1 deg", "1 mm"
 
 
-def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
+def with_stated(
+    space: SearchSpace, campaign: GearCampaign, drops: Sequence[PreparedDrop] = ()
+) -> SearchSpace:
     """Return a space in which what the campaign states with an error moves, with a row for each.
 
-    What is free or fixed by `[parameters]` is not stated twice.
+    What is free or fixed by `[parameters]` is not stated twice. Of `drops` come slopes that markers show.
     """
     stated, rows = {}, []
     for table in (campaign.vehicle, campaign.surface):
@@ -53,7 +58,7 @@ def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
                 stated[name] = getattr(table, name)
     fixed = campaign.parameters.fixed_values(space.table)
     stated |= {name: value for name, value in fixed.items() if name in space.fixed}
-    for row, value in _of_the_capture(campaign):
+    for row, value in _of_the_capture(campaign, {drop.name: drop.slope for drop in drops}):
         rows.append(row)
         stated[row.name] = value
     stated = {name: value for name, value in stated.items() if value is not None and error_of(value) > 0}
@@ -62,25 +67,40 @@ def with_stated(space: SearchSpace, campaign: GearCampaign) -> SearchSpace:
     return space.with_stated(stated, rows) if stated else space
 
 
-def _of_the_capture(campaign: GearCampaign) -> Iterator[tuple[Parameter, Stated]]:
-    """Yield the rows of slopes, releases, centre of mass and surface, and what is stated of each [SI]."""
+def _of_the_capture(
+    campaign: GearCampaign, slopes: Mapping[str, float]
+) -> Iterator[tuple[Parameter, Stated]]:
+    """Yield the rows of slopes, releases, centre of mass, surface and tilt, and what is stated of each [SI].
+
+    `slopes` are those that markers show where none is stated.
+    """
+    surface, exact = campaign.surface, campaign.fit.exact
     fitted = [trial for trial in campaign.trials if trial.use == "fit"]
     fitted.sort(key=lambda trial: name_order(trial.name))
     for trial in fitted:
-        if trial.slope is not None:
-            yield (
-                replace(SLOPE.of_trial(trial.name), nominal=float(trial.slope)),
-                _with_error(trial.slope, of=trial.slope),
-            )
+        slope = trial.slope
+        if slope is None and trial.name in slopes and not exact:
+            error = typical_error(_BOARD_ERROR, 0.0, "rad")
+            slope = Stated(slopes[trial.name], error, _BOARD_ERROR)
+        if slope is not None:
+            row = replace(SLOPE.of_trial(trial.name), nominal=float(slope))
+            yield row, _with_error(slope, of=slope)
         if trial.release is not None:
             yield RELEASE.of_trial(trial.name), _with_error(0.0, of=trial.release)
     directions = {trial.down_slope or campaign.capture.down_slope for trial in fitted}
     # Bodies that were turned between the drops show their centre of mass along other axes.
     if len(directions) == 1:
-        frame = CaptureFrame(campaign.capture.up, *directions)
+        frame = CaptureFrame(campaign.capture.up, directions.pop())
         yield from zip(CENTRE, _in_plane(campaign.capture.centre_of_mass_offset, frame), strict=True)
-        if campaign.surface.point is not None and any(trial.point is None for trial in fitted):
-            yield from zip(SURFACE, _in_plane(campaign.surface.point, frame), strict=True)
+        yield TILT, _with_error(0.0, of=campaign.capture.tilt)
+        if surface.point is not None and any(trial.point is None for trial in fitted):
+            yield from zip(SURFACE, _in_plane(surface.point, frame), strict=True)
+    if surface.markers is not None:
+        yield SURFACE[1], _with_error(0.0, of=surface.marker_height)
+    if surface.rest_log is not None and not exact:
+        # The body that rests on the surface shows where its feet are.
+        error = float(np.hypot(typical_error(_SAG_ERROR, 0.0, "m"), error_of(campaign.vehicle.foot_dz)))
+        yield SURFACE[1], Stated(0.0, error, _SAG_ERROR)
     for trial in fitted:
         if trial.point is not None:
             frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
@@ -110,6 +130,12 @@ class Moved:
     centre: FloatArray
     # (P, D, 2) surface's point from its stated place, x and z [m].
     surface: FloatArray
+    # (P,) lean of the capture's up down-slope beyond the stated one [rad], and gravity [m/s²].
+    tilt: FloatArray
+    gravity: FloatArray
+    # (D,) whether a drop was held before it fell, and whether its pitch counts from the hold.
+    held: BoolArray
+    levelled: BoolArray
 
     @classmethod
     def of(cls, table: ParameterTable, rows: FloatArray, drops: Sequence[PreparedDrop]) -> Self | None:
@@ -121,16 +147,30 @@ class Moved:
         def column(name: str, default: FloatArray | float) -> FloatArray:
             return rows[:, index[name]] if name in index else np.full(len(rows), default)
 
-        return cls._read(column, {drop.name: drop.slope for drop in drops})
+        return cls._read(
+            column, {drop.name: drop.slope for drop in drops},
+            [drop.flight.held for drop in drops], [drop.levelled for drop in drops],
+        )  # fmt: skip
 
     @classmethod
-    def in_set(cls, values: Mapping[str, float], drop: str, slope: float) -> Self:
-        """Return what the values of a set by name [SI] say of one drop on a slope as stated [rad]."""
-        return cls._read(lambda name, default: np.array([values.get(name, default)]).ravel(), {drop: slope})
+    def in_set(cls, values: Mapping[str, float], drop: str, slope: float, held: bool) -> Self:
+        """Return what the values of a set by name [SI] say of one drop on a slope as stated [rad].
+
+        Pitch counts from the hold of a drop that was `held`.
+        """
+
+        def column(name: str, default: FloatArray | float) -> FloatArray:
+            return np.array([values.get(name, default)]).ravel()
+
+        return cls._read(column, {drop: slope}, [held], [held])
 
     @classmethod
     def _read(
-        cls, column: Callable[[str, FloatArray | float], FloatArray], slopes: Mapping[str, float]
+        cls,
+        column: Callable[[str, FloatArray | float], FloatArray],
+        slopes: Mapping[str, float],
+        held: Sequence[bool],
+        levelled: Sequence[bool],
     ) -> Self:
         common = {row.name: column(row.name, 0.0) for row in (*CENTRE, *SURFACE)}
         surface = [[column(f"{row.name}[{drop}]", common[row.name]) for row in SURFACE] for drop in slopes]
@@ -139,6 +179,10 @@ class Moved:
             np.stack([column(f"{RELEASE.name}[{drop}]", np.nan) for drop in slopes], axis=1),
             np.stack([common[row.name] for row in CENTRE], axis=1),
             np.moveaxis(np.array(surface), 2, 0),
+            column(TILT.name, 0.0),
+            column("gravity", PARAMETERS["gravity"].nominal),
+            np.array(held, dtype=np.bool_),
+            np.array(levelled, dtype=np.bool_),
         )
 
     def released(self, drops: Sequence[PreparedDrop]) -> FloatArray:
@@ -151,12 +195,24 @@ class Moved:
 
     def before(self, drop: PreparedDrop, d: int) -> FloatArray:
         """Return x, z, pitch [m, rad] at the samples before the window of drop d, (n, 3) or (P, n, 3)."""
-        lead, delay = len(drop.before), self.delays[:, d]
-        if not np.isfinite(delay).all():
+        lead, delay = len(drop.before), np.nan_to_num(self.delays[:, d])
+        if np.isnan(self.delays[:, d]).any() and not self.tilt.any():
             return drop.before
         time = drop.time[0] - np.arange(lead, 0, -1) / drop.motion.rate
-        states = drop.flight.at((time - delay[:, None]).ravel())
-        return np.asarray(states[:, :3].reshape(len(delay), lead, 3))
+        states = drop.flight.at((time - delay[:, None]).ravel()).reshape(len(delay), lead, 6)
+        self._fall(states, drop.flight.held)
+        return states[:, :, :3]
+
+    def _fall(self, states: FloatArray, held: bool | BoolArray) -> None:
+        """Let bodies that fall from rest fall along gravity in captured states (P, ..., 6), `held` (...)."""
+        lean = np.where(held, np.tan(self.tilt)[:, None], 0.0)
+        states[..., 0] += lean * states[..., 4] ** 2 / (2 * self.gravity[:, None])
+        states[..., 3] -= lean * states[..., 4]
+
+    def _upright(self, x: FloatArray, z: FloatArray, sign: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        """Return components (P, ...) along the capture's axes along true ones; with -1 the other way."""
+        tilt = sign * self.tilt.reshape(-1, *[1] * (x.ndim - 1))
+        return x * np.cos(tilt) + z * np.sin(tilt), z * np.cos(tilt) - x * np.sin(tilt)
 
     def _turned(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the shift of the centre of mass along x and z at pitches (P, ...) [rad]."""
@@ -166,15 +222,30 @@ class Moved:
     def starts(self, states: FloatArray) -> FloatArray:
         """Return states (P, D, 6) [SI] of the body's centre over the surface, from what was captured."""
         out = np.array(states)
+        self._fall(out, self.held)
         x, z = self._turned(states[:, :, 2])
         out[:, :, 0] += x - self.surface[:, :, 0]
         out[:, :, 1] += z - self.surface[:, :, 1]
         out[:, :, 3] += states[:, :, 5] * z
         out[:, :, 4] -= states[:, :, 5] * x
+        for k in (0, 3):
+            out[:, :, k], out[:, :, k + 1] = self._upright(out[:, :, k], out[:, :, k + 1])
+        out[:, :, 2] += np.where(self.levelled, 0.0, self.tilt[:, None])
         return out
+
+    def seen(self, points: FloatArray, drop: int) -> FloatArray:
+        """Return points (P, ..., 2) of a drop's simulation as the capture would have seen them [m]."""
+        place = self.surface[:, drop].reshape(-1, *[1] * (points.ndim - 2), 2)
+        return np.stack(self._upright(points[..., 0], points[..., 1], -1.0), axis=-1) + place
 
     def as_captured(self, samples: FloatArray, drop: int) -> None:
         """Change simulated samples (P, n, 6) [SI] of a drop to what the capture would have seen."""
+        if not self.levelled[drop]:
+            samples[:, :, 2] -= self.tilt[:, None]
+        if self.tilt.any():
+            for k in (0, 3):
+                across, up = samples[:, :, k], samples[:, :, k + 1]
+                samples[:, :, k], samples[:, :, k + 1] = self._upright(across, up, -1.0)
         x, z = self._turned(samples[:, :, 2])
         samples[:, :, 0] -= x - self.surface[:, drop, None, 0]
         samples[:, :, 1] -= z - self.surface[:, drop, None, 1]

@@ -31,7 +31,7 @@ from sysid.gear.out_of_plane import tell_limits
 from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
 from sysid.gear.problem import ONE_TOUCHDOWN, GearProblem
 from sysid.gear.starts import start_roots
-from sysid.gear.stated import CENTRE, RELEASE, SURFACE, Moved
+from sysid.gear.stated import CENTRE, RELEASE, SURFACE, TILT, Moved
 from sysid.journal import notice
 from sysid.parameters import ParameterTable
 from sysid.trials.look import inspect_recording, log_quality
@@ -62,8 +62,11 @@ class GearStory(Story[GearProblem]):
     @property
     def keys(self) -> Mapping[str, str]:
         """Offsets and places by the key that states them."""
-        places = dict.fromkeys((row.name for row in SURFACE), "point")
-        return {RELEASE.name: "release", **places} | {row.name: "centre_of_mass_offset" for row in CENTRE}
+        surface = self.problem.campaign.surface
+        place = "marker_height" if surface.markers else "rest_log" if surface.rest_log else "point"
+        keys = dict.fromkeys((row.name for row in CENTRE), "centre_of_mass_offset")
+        keys |= dict.fromkeys((row.name for row in SURFACE), place)
+        return {RELEASE.name: "release", TILT.name: "tilt", **keys}
 
     @property
     def accuracy(self) -> Mapping[str, object]:

@@ -104,7 +104,8 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     values = dict(zip((r.name for r in fit.parameters), map(float, fit.values[0]), strict=True))
     start = np.array(log[START], dtype=np.float64)
     # Release, centre of mass and surface were fitted within the errors that are stated of them.
-    fitted = Moved.in_set(values, trial.name, float(np.radians(log["slope_deg"])))
+    slope = float(np.radians(log["slope_deg"]))
+    fitted = Moved.in_set(values, trial.name, slope, bool(log.get("held_before_release")))
     delay = float(np.nan_to_num(fitted.delays[0, 0]))
     start[:3] -= start[3:] * delay
     start[1] -= 0.5 * values["gravity"] * delay**2
@@ -127,7 +128,7 @@ def replay_drop(fit: FitResult, trial: TrialResult) -> DropReplay:
     moved = foot_points(run.state[:, :7] + instant * run.state[:, 7:], values)
     return DropReplay(
         trial.name, trial.use, slope, time, body=body[0, :, :3],
-        feet=feet + fitted.surface[0, 0], normal_force=run.normal_force, friction_force=run.friction_force,
+        feet=fitted.seen(feet[None], 0)[0], normal_force=run.normal_force, friction_force=run.friction_force,
         measured=measured, contacts=_contacts(time, run.normal_force), values=values,
         slip_speed=np.asarray((moved - feet) @ directions(slope)[0] / instant),
     )  # fmt: skip

@@ -26,16 +26,21 @@ PLANAR_LIMIT = np.radians(10.0)
 class CaptureFrame:
     """Rotation from capture axes to (x down-slope, y into the page, z up).
 
-    `up` and `down_slope` are signed capture axes such as ``"+y"``; they must not lie on one axis.
+    `up` and `down_slope` are signed capture axes such as ``"+y"``; they must not lie on one axis. The capture
+    calls up what leans down-slope by `tilt` [rad]. `axes` is the rotation without a tilt.
     """
 
     up: str
     down_slope: str
+    tilt: float = 0.0
+    axes: FloatArray = field(init=False, repr=False, compare=False)
     matrix: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         z, x = signed_axis(self.up), signed_axis(self.down_slope)
-        object.__setattr__(self, "matrix", np.array([x, np.cross(z, x), z]))
+        axes = np.array([x, np.cross(z, x), z])
+        object.__setattr__(self, "axes", axes)
+        object.__setattr__(self, "matrix", Rotation.from_rotvec([0.0, self.tilt, 0.0]).as_matrix() @ axes)
 
 
 def signed_axis(name: str) -> FloatArray:

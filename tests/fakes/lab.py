@@ -10,7 +10,7 @@ import numpy as np
 GOOD_LAB = {
     "body_mass": "1 g", "body_inertia": "3 %", "foot_dx": "1 mm", "foot_dz": "1 mm", "leg_mass": "1 g",
     "leg_inertia": "10 %", "kinetic_friction": "3 %", "centre_of_mass_offset": "1 mm", "point": "1 mm",
-    "slope": "0.2 deg",
+    "slope": "0.2 deg", "tilt": "0.1 deg",
 }  # fmt: skip
 # The same of a synthetic motor campaign; the errors of static curves are in their logs.
 MOTOR_LAB = {"kv": "2 %", "rotor_inertia": "5 %", "reference_voltage": "0.5 %"}
@@ -29,8 +29,11 @@ def misstated(
     above 0 nothing is drawn.
     """
     random, gross, seen = np.random.default_rng(seed), dict(gross or {}), {}
+    # Synthetic captures are level and do not say so. Their tilt is drawn apart: the other draws stay.
+    of_tilt = np.random.default_rng([max(seed, 0), 1])
+    text = re.sub(r"(?m)^centre_of_mass_offset", r'tilt = "0 deg"\n\g<0>', path.read_text(encoding="utf-8"))
     lines = []
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in text.splitlines():
         if line.startswith("exact = true"):
             continue
         key = line.partition(" = ")[0]
@@ -49,7 +52,7 @@ def misstated(
             sigma = abs(value) * float(size) / 100 if error_unit == "%" else float(size)
             other, factor = _SMALLER.get(error_unit, (unit, 1.0))
             sigma *= factor if other == unit and error_unit != "%" else 1.0
-            drawn = random.standard_normal() * (seed > 0)
+            drawn = (of_tilt if key == "tilt" else random).standard_normal() * (seed > 0)
             one = f"slope[{seen[key]}]" if key == "slope" else f"{key}[{where}]" if "[" in tail else key
             drawn = gross.get(one, drawn * times) / times
             text = f"{value + times * drawn * sigma:.8g}"

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import shutil
 
 import numpy as np
 import pytest
@@ -54,7 +55,7 @@ def test_what_is_stated_with_an_error_moves(stated, exact):
         assert (value, value.error) == pytest.approx((space.stated[name], space.stated[name].error))
     assert set(space.stated) == {
         "body_mass", "body_inertia", "foot_dx", "foot_dz", "leg_mass", "leg_inertia", "kinetic_friction",
-        "centre_of_mass_dx", "centre_of_mass_dz", "surface_dx", "surface_dz",
+        "capture_tilt", "centre_of_mass_dx", "centre_of_mass_dz", "surface_dx", "surface_dz",
         *(f"slope[drop-{d}]" for d in (1, 2, 3)),
     }  # fmt: skip
     assert space.stated["slope[drop-2]"].error == pytest.approx(math.radians(0.2))
@@ -177,3 +178,29 @@ def test_a_drop_with_an_exact_point_does_not_follow_the_point_of_the_others(exac
     assert moved[0] > 5e-4
     assert moved[1] > 5e-4
     assert moved[2] == 0.0
+
+
+@pytest.mark.parametrize("level", ["release", "capture"])
+def test_a_capture_that_leans_is_the_tilt_stated_there(exact, level, tmp_path):
+    folder = shutil.copytree(exact.parent, tmp_path / "drops")
+    path = folder / "campaign.toml"
+    text = path.read_text(encoding="utf-8").replace('level = "release"', f'level = "{level}"')
+    path.write_text(text, encoding="utf-8")
+    upright = opened(misstated(path, 0, name="stated.toml"))
+    leaning = shifted(path, "leaning", tilt=5.0)
+    tilt = math.radians(0.5)
+    signals = upright.predict(row_of(upright, capture_tilt=tilt)).signals
+    expected = leaning.predict(row_of(leaning)).signals
+    for d, (ours, theirs) in enumerate(zip(signals, expected, strict=True)):
+        both, here, there = np.intersect1d(upright.drops[d].time, leaning.drops[d].time, return_indices=True)
+        assert len(both) > 100
+        x, z = theirs[0][there][:, :2].T
+        # The same drops, seen along axes that lean, and pitch from them where the hold is not its zero.
+        seen = np.stack([x * np.cos(tilt) - z * np.sin(tilt), z * np.cos(tilt) + x * np.sin(tilt)], axis=1)
+        error = np.abs(ours[0][here][:, :2] - seen)
+        assert error[:15].max() < 2e-4
+        assert np.median(error, axis=0).max() < 2e-4
+        turned = 0.0 if upright.drops[d].levelled else tilt
+        assert np.abs(ours[0][here][:15, 4] - theirs[0][there][:15, 4] + turned).max() < 1e-3
+    moved = signals[0][0] - upright.predict(row_of(upright)).signals[0][0]
+    assert np.abs(moved[:, 0]).max() > 2e-3
