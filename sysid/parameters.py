@@ -187,6 +187,10 @@ class SearchSpace:
         fixed |= {row.name: row.nominal for row in more if row.name not in stated}
         return SearchSpace(table, (*self.free, *rows), fixed, {**self.stated, **stated})
 
+    def restating(self, stated: Mapping[str, Stated]) -> SearchSpace:
+        """Return the space in which other values are stated of some rows [their units]."""
+        return SearchSpace(self.table, self.found, self.fixed).with_stated({**self.stated, **stated})
+
     def starting(self, name: str, value: float) -> SearchSpace:
         """Return the space whose search keeps a stated value near another [its unit] until its finisher."""
         free = [

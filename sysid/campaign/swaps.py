@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import MutableMapping
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel
+
+from sysid.stated import Stated
 
 # Keys and indices that lead to an entry of a campaign: ``("trials", 2, "slope")``.
 Place = tuple[str | int, ...]
@@ -17,8 +20,9 @@ class Swap:
 
     # Words for the campaign without the mistake, after "with": ``foot_dx and foot_dz exchanged``.
     title: str
-    # Entries to exchange, and numbers with what is added to them.
+    # Entries to exchange, numbers of the other sign, and numbers with what is added to them.
     exchanged: tuple[tuple[Place, Place], ...] = ()
+    negated: tuple[Place, ...] = ()
     moved: tuple[tuple[Place, float], ...] = ()
 
     @property
@@ -33,9 +37,38 @@ class Swap:
         for one, other in self.exchanged:
             out = _with(out, one, _at(campaign, other))
             out = _with(out, other, _at(campaign, one))
-        for place, way in self.moved:
-            out = _with(out, place, _at(campaign, place) + way)
+        for place, way in (*((p, -2 * _at(campaign, p)) for p in self.negated), *self.moved):
+            number = _at(campaign, place)
+            moved = Stated(number + way, number.error, number.assumed) if isinstance(number, Stated) else None
+            out = _with(out, place, number + way if moved is None else moved)
         return out
+
+    def undo_in(self, document: MutableMapping[str, Any]) -> None:
+        """Undo exchanges and signs in a campaign as it is written."""
+        for one, other in self.exchanged:
+            nodes = [_parent(document, place) for place in (one, other)]
+            written = [_written(node, place[-1]) for node, place in zip(nodes, (one, other), strict=True)]
+            for node, place, text in zip(nodes, (one, other), reversed(written), strict=True):
+                if text is not None:
+                    node[place[-1]] = text
+                elif place[-1] in node:
+                    del node[place[-1]]
+        for place in self.negated:
+            node, text = _parent(document, place), str(_parent(document, place)[place[-1]])
+            node[place[-1]] = text[1:] if text.startswith("-") else f"-{text}"
+
+
+def _parent(node: Any, place: Place) -> Any:
+    for key in place[:-1]:
+        node = node[key]
+    return node
+
+
+def _written(node: Any, key: str | int) -> Any:
+    """Return an entry without its comment, which stays where it is; None where the entry is left out."""
+    if isinstance(key, str) and key not in node:
+        return None
+    return node[key].unwrap()
 
 
 def _at(node: Any, place: Place) -> Any:

@@ -8,7 +8,7 @@ campaign in `sysid.fit.kind`. A user's model is one too: `sysid.own`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -17,6 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.campaign.swaps import Swap
 from sysid.fit.derivatives import Layout
 from sysid.fit.result import FitResult, TrialResult
 from sysid.fit.trial import (
@@ -133,6 +134,11 @@ class Problem(ABC):
     def known(self, fit: FitResult) -> Collection[str]:
         """Return the parameters for which this campaign's value replaces one that a fit took as known."""
         return self.campaign.parameters.fixed
+
+    @property
+    def mistakes(self) -> Iterable[tuple[Swap, SearchSpace]]:
+        """Mistakes that the campaign may contain, and the space of stated values without each."""
+        return ()
 
     @property
     def instruments(self) -> Collection[str]:

@@ -21,7 +21,7 @@ from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_ga
 from sysid.fit.nrmse import CostChannel, TrialTarget
 from sysid.gear.model import parameters_on
 from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle, notice_slope
-from sysid.gear.swaps import swaps
+from sysid.gear.swaps import swaps, wrong_heights
 from sysid.journal import Finding, Journal, hear, note, notice
 from sysid.recording import Recording
 from sysid.trials.capture import (
@@ -202,7 +202,7 @@ def _noticed_swap(
     before = np.array([abs(error(campaign, k)) for k in places])
     wrong, seen = before > _OUT_OF_PLACE, np.isfinite(before)
     single = np.count_nonzero(wrong) < 2
-    for swap in swaps(campaign):
+    for swap in (*swaps(campaign), *wrong_heights()):
         other, after = swap.undone(campaign), before.copy()
         changed = [k for k in places if other.trials[k] != campaign.trials[k]]
         # A single drop does not speak against what all have in common, unless the others say the same.

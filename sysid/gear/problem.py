@@ -9,7 +9,7 @@ that just reaches the board's end pays nothing.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from sysid.campaign import GearCampaign
+from sysid.campaign.swaps import Swap
 from sysid.errors import CampaignError
 from sysid.fit.compiling import tell_of_kernel
 from sysid.fit.nrmse import FAILED_NRMSE, FilteredNrmse
@@ -43,7 +44,8 @@ from sysid.gear.starts import (
     noise_signals,
     start_roots,
 )
-from sysid.gear.stated import SLOPE, Moved, with_stated
+from sysid.gear.stated import SLOPE, Moved, with_stated, without_mistake
+from sysid.gear.swaps import swaps
 from sysid.journal import Finding
 from sysid.parameters import SearchSpace
 from sysid.trust.linearized import noise_model
@@ -382,6 +384,12 @@ class GearProblem(Problem):
     def stated(self) -> Mapping[str, float]:
         """What the campaign states of the model's parameters."""
         return measured_values(self.campaign)
+
+    @property
+    def mistakes(self) -> Iterator[tuple[Swap, SearchSpace]]:
+        """Exchanges and lost signs."""
+        for swap in swaps(self.campaign):
+            yield swap, without_mistake(self.space, self.campaign, swap)
 
     @property
     def instruments(self) -> Collection[str]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from sysid.campaign import GearCampaign
 from sysid.campaign.gear import Point
+from sysid.campaign.swaps import Swap
 from sysid.fit.trial import name_order
 from sysid.gear.drops import PreparedDrop
 from sysid.gear.parameters import CAPTURED, PARAMETERS
@@ -51,30 +52,48 @@ def with_stated(
 
     What is free or fixed by `[parameters]` is not stated twice. Of `drops` come slopes that markers show.
     """
-    stated, rows = {}, []
-    for table in (campaign.vehicle, campaign.surface):
-        for name in type(table).model_fields:
-            if name in space.fixed and name not in campaign.parameters.fixed:
-                stated[name] = getattr(table, name)
-    fixed = campaign.parameters.fixed_values(space.table)
-    stated |= {name: value for name, value in fixed.items() if name in space.fixed}
+    stated = {name: value for name, value in _of_the_model(campaign, space.table) if name in space.fixed}
+    rows = []
     for row, value in _of_the_capture(campaign, {drop.name: drop.slope for drop in drops}):
         rows.append(row)
         stated[row.name] = value
-    stated = {name: value for name, value in stated.items() if value is not None and error_of(value) > 0}
+    stated = {name: value for name, value in stated.items() if error_of(value) > 0}
     # A drop with an exact point of its own does not follow the point of the others.
     rows = [row for row in rows if row.name in stated or row.common_name in stated]
     return space.with_stated(stated, rows) if stated else space
 
 
+def without_mistake(space: SearchSpace, campaign: GearCampaign, swap: Swap) -> SearchSpace:
+    """Return the space in which the stated values are those of a campaign without a mistake."""
+    right, table = swap.undone(campaign), space.table
+    stated = dict(_of_the_model(right, table))
+    stated |= {row.name: value for row, value in _of_the_capture(right, {}, campaign)}
+    return space.restating(
+        {name: value for name, value in stated.items() if space.stated.get(name, value) != value}
+    )
+
+
+def _of_the_model(campaign: GearCampaign, table: ParameterTable) -> Iterator[tuple[str, Stated]]:
+    """Yield names of the model's rows, and what is stated of each [SI]."""
+    fixed = campaign.parameters.fixed_values(table)
+    for part in (campaign.vehicle, campaign.surface):
+        for name in type(part).model_fields:
+            if name in table and name not in fixed and getattr(part, name) is not None:
+                yield name, getattr(part, name)
+    yield from fixed.items()
+
+
 def _of_the_capture(
-    campaign: GearCampaign, slopes: Mapping[str, float]
+    campaign: GearCampaign, slopes: Mapping[str, float], prepared: GearCampaign | None = None
 ) -> Iterator[tuple[Parameter, Stated]]:
     """Yield the rows of slopes, releases, centre of mass, surface and tilt, and what is stated of each [SI].
 
-    `slopes` are those that markers show where none is stated.
+    `slopes` are those that markers show where none is stated. Places count from those of the campaign with
+    which the drops were `prepared`, by default the same.
     """
     surface, exact = campaign.surface, campaign.fit.exact
+    prepared = prepared or campaign
+    before = {trial.name: trial.point for trial in prepared.trials}
     fitted = [trial for trial in campaign.trials if trial.use == "fit"]
     fitted.sort(key=lambda trial: name_order(trial.name))
     for trial in fitted:
@@ -91,10 +110,11 @@ def _of_the_capture(
     # Bodies that were turned between the drops show their centre of mass along other axes.
     if len(directions) == 1:
         frame = CaptureFrame(campaign.capture.up, directions.pop())
-        yield from zip(CENTRE, _in_plane(campaign.capture.centre_of_mass_offset, frame), strict=True)
+        centre, from_there = (one.capture.centre_of_mass_offset for one in (campaign, prepared))
+        yield from zip(CENTRE, _in_plane(centre, frame, from_there), strict=True)
         yield TILT, _with_error(0.0, of=campaign.capture.tilt)
         if surface.point is not None and any(trial.point is None for trial in fitted):
-            yield from zip(SURFACE, _in_plane(surface.point, frame), strict=True)
+            yield from zip(SURFACE, _in_plane(surface.point, frame, prepared.surface.point), strict=True)
     if surface.markers is not None:
         yield SURFACE[1], _with_error(0.0, of=surface.marker_height)
     if surface.rest_log is not None and not exact:
@@ -105,13 +125,14 @@ def _of_the_capture(
         if trial.point is not None:
             frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
             rows = [row.of_trial(trial.name) for row in SURFACE]
-            yield from zip(rows, _in_plane(trial.point, frame), strict=True)
+            yield from zip(rows, _in_plane(trial.point, frame, before[trial.name]), strict=True)
 
 
-def _in_plane(point: Point, frame: CaptureFrame) -> tuple[Stated, Stated]:
-    """Return 0 with the errors of a point in capture axes along x and z of the plane of motion [m]."""
+def _in_plane(point: Point, frame: CaptureFrame, origin: Point | None) -> tuple[Stated, Stated]:
+    """Return a point in capture axes from another one along x and z of the plane of motion [m]."""
+    moved = frame.matrix @ np.subtract(point, point if origin is None else origin)
     along, _, up = (point[int(np.argmax(np.abs(axis)))] for axis in frame.matrix)
-    return _with_error(0.0, of=along), _with_error(0.0, of=up)
+    return _with_error(float(moved[0]), of=along), _with_error(float(moved[2]), of=up)
 
 
 def _with_error(value: float, of: float) -> Stated:

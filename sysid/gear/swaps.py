@@ -20,7 +20,7 @@ _OFF_BY = range(2, 41, 2)
 
 
 def swaps(campaign: GearCampaign) -> Iterator[Swap]:
-    """Yield the mistakes that a campaign may contain."""
+    """Yield the exchanges and lost signs that a campaign may contain."""
     for k, m in combinations(range(len(campaign.trials)), 2):
         one, other = campaign.trials[k], campaign.trials[m]
         names = f"of {one.name} and {other.name} exchanged"
@@ -39,13 +39,17 @@ def swaps(campaign: GearCampaign) -> Iterator[Swap]:
     for k in (along, up):
         value = campaign.capture.centre_of_mass_offset[k]
         if abs(value) > _LEAST:
-            yield Swap(f"the other sign of centre_of_mass_offset[{k}]", moved=(((*offset, k), -2 * value),))
+            yield Swap(f"the other sign of centre_of_mass_offset[{k}]", negated=((*offset, k),))
     points = [offset] if any(campaign.capture.centre_of_mass_offset) else []
     points += [("surface", "point")] if campaign.surface.point is not None else []
     for point in points:
         for k, m in combinations(range(3), 2):
             title = f"the components {k} and {m} of {point[-1]} exchanged"
             yield Swap(title, (((*point, k), (*point, m)),))
+
+
+def wrong_heights() -> Iterator[Swap]:
+    """Yield heights that may be off."""
     for height in _OFF_BY:
         for sign, less, lower, higher in ((-1, "less", "lower", "higher"), (1, "more", "higher", "lower")):
             yield Swap(

@@ -74,9 +74,9 @@ def _changes(document: ExplainDocument, rung: LadderRung, lost: set[str]) -> dic
 
 
 def _in_words(one: Suspect) -> str:
-    """Return what a suspect is called: values of which nothing is stated, or a trial that is not fitted."""
+    """Return what is changed: values of which nothing is stated, a mistake undone, a trial left out."""
     names = " and ".join(one.names)
-    return f"{names} not stated" if one.what == "value" else f"without {names}"
+    return {"value": f"{names} not stated", "swap": f"with {names}", "trial": f"without {names}"}[one.what]
 
 
 def rungs_table(document: ExplainDocument) -> Table:

@@ -109,9 +109,12 @@ class StatedValue(Part):
 
 
 class Suspect(Part):
-    """Stated values of which nothing is stated, or a trial that is left out, and what noise explains then."""
+    """What may be wrong, and what noise explains without it.
 
-    what: Literal["value", "trial"]
+    Values of which nothing is stated then, a mistake such as an exchange, or a trial that is left out.
+    """
+
+    what: Literal["value", "swap", "trial"]
     names: list[str]
     # NRMSE over what noise costs, and the worst channel's [1].
     over_noise: float

@@ -32,8 +32,6 @@ _HALF, _AS_STATED = 0.707, 0.7
 # Factor by which a better instrument may divide an error, the half-width over the former one from which on
 # that is worth saying, and how many parameters are named [1].
 _BETTER, _GAINS, _NAMED = 4.0, 0.9, 3
-# Largest distance of what trials ask for from a value that may belong there [standard errors].
-_NEAR = 3.0
 # Variance from which on trials cannot contradict a value [squared standard errors].
 _UNSEEN = 50.0
 
@@ -217,14 +215,12 @@ def contradictions(rows: Sequence[StatedValue], space: SearchSpace, falls: str) 
         if not row.contradicted:
             continue
         others = [by_name[name] for name in row.partners]
-        swapped = [other.name for other in rows if other.contradicted and _exchanged(row, other)]
         instead = ", ".join(f"{one.name} = {_shown(one, one.asked)}" for one in others)
         sentence = (
             f"the trials ask for {row.name} = {_shown(row, row.asked, row.sigma)}, the campaign states "
             f"{_shown(row, row.stated, row.error)} ({abs(row.asked - row.stated) / row.error:.0f} standard "
             f"errors): with what they ask for {falls}; measure it again"
             + (f" ({instead} would do the same)" if instead else "")
-            + (f"; it looks exchanged with {swapped[0]}" if swapped else "")
         )
         name = common_name(next(one for one in space.free if one.name == row.name))
         of = (trials[row.name],) if trials[row.name] else ()
@@ -232,14 +228,6 @@ def contradictions(rows: Sequence[StatedValue], space: SearchSpace, falls: str) 
             Finding("stated-value-contradicted", sentence, trials=of, size=row.gain, parameters=(name,))
         )
     return out
-
-
-def _exchanged(row: StatedValue, other: StatedValue) -> bool:
-    """Return whether the trials ask for each of two values where the campaign states the other."""
-    pairs = ((row, other), (other, row))
-    return row.unit == other.unit and all(
-        abs(one.asked - two.stated) < _NEAR * one.error < abs(one.stated - two.stated) for one, two in pairs
-    )
 
 
 def _shown(row: StatedValue, value: float, error: float | None = None) -> str:

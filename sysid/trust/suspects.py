@@ -1,17 +1,18 @@
-"""Who is wrong: stated values and single trials, tried before any physics.
+"""Who is wrong: stated values, exchanges of them and single trials, tried before any physics.
 
 A value is accused where the trials contradict its statement (`sysid.trust.stated`); of a fit that noise does
 not explain, where noise explains it once nothing is stated of the contradicted values, because missing
-physics and a bad trial pull at right values, too. A trial is accused where noise explains all others, which
-predict it badly, and no value is; then the others may accuse values, because a wrong value spoils how a trial
-is read.
+physics and a bad trial pull at right values, too. An exchange, or a lost sign, is accused where noise
+explains the trials once it is undone, about as well as with nothing stated of the contradicted values. A
+trial is accused where noise explains all others, which predict it badly, and no value is; then the others may
+accuse values, because a wrong value spoils how a trial is read.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from sysid.types import FloatArray
 
 # Number of stated values that are tried alone where noise does not explain the fit, by what each would gain.
 _ALONE = 3
+# Deviance by which a mistake may explain the trials worse than contradicted values of which nothing is stated
+# and still be accused instead: the values are then stated elsewhere, with their errors.
+_AS_WELL = 6.0
 # Number of iterations of a fit without a statement.
 _ITERATIONS = 15
 # Least misfit of a bad trial as the fit of the others predicts it [noise].
@@ -38,13 +42,15 @@ _UNLIKE = 3.0
 class Inquiry:
     """What was tried, what became of the stated values, and a finding for everybody who is accused.
 
-    `freed` has the values of the fit without the contradicted statements by name [SI]; empty where none is.
+    `freed` has the values by name [SI] of the fit without the contradicted statements, or without the
+    mistake, and `way` says which fit that is; both are empty where nothing is wrong.
     """
 
     suspects: list[Suspect]
     stated: list[StatedValue]
     findings: list[Finding]
     freed: dict[str, float]
+    way: str
     evaluations: int
 
 
@@ -60,15 +66,16 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
     suspects: list[Suspect] = []
     findings: list[Finding] = []
     freed: dict[str, float] = {}
-    evaluations = 0
+    way, evaluations = "", 0
     if sets:
-        points, evaluations = _freed(problem, linear, sets, rows)
+        points, least, evaluations = _freed(problem, linear, sets, rows)
         *tried, as_stated = [adequacy(problem, row) for row in space.full(points)]
         if wrong and lacks and tried[0].verdict == NOT_BY:
             rows = [row.model_copy(update={"contradicted": False}) for row in rows]
         # The fit without the statements knows better than the derivatives at the fit with them.
         if any(row.contradicted for row in rows):
             freed = dict(zip(space.names, space.decode(points[0]).tolist(), strict=True))
+            way = f"without what is stated of {' and '.join(wrong)}"
         rows = [
             row.model_copy(update={"asked": freed[row.name]}) if row.contradicted else row for row in rows
         ]
@@ -78,6 +85,14 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
             _suspect("value", names, one, accused if names == wrong else [])
             for names, one in zip(sets, tried, strict=True)
         ]
+        before = as_stated if wrong else judged
+        exchange = _mistake(problem, linear, before, least if wrong else np.inf)
+        if exchange.suspect is not None:
+            findings = [Finding("contradicts-swapped", exchange.suspect.sentences[0])]
+            suspects = [one.model_copy(update={"sentences": []}) for one in suspects]
+            suspects.insert(0, exchange.suspect)
+            freed, way = exchange.values, f"with {exchange.suspect.names[0]}"
+        evaluations += exchange.evaluations
     if lacks and without is not None:
         others = _trials(problem, judged, without)
         bad = [one for one in others if one.sentences]
@@ -89,12 +104,58 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
             # A wrong value is the likelier cause of both.
             findings = [*again.findings, trial]
             others = [*again.suspects, *others]
-            freed = again.freed
+            freed, way = again.freed, again.way
             evaluations += again.evaluations
         else:
             others = [one.model_copy(update={"sentences": []}) for one in others]
         suspects += others
-    return Inquiry(suspects, rows, findings, freed, evaluations)
+    return Inquiry(suspects, rows, findings, freed, way, evaluations)
+
+
+class _Mistake(NamedTuple):
+    """A mistake in the campaign, if one is accused, and the values of the fit without it by name [SI]."""
+
+    suspect: Suspect | None
+    values: dict[str, float]
+    evaluations: int
+
+
+def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: float) -> _Mistake:
+    """Return the mistake without which noise explains the trials best.
+
+    `before` judges them as stated; `least` is the sum of squares where nothing is stated of the contradicted
+    values, which a mistake explains about as well.
+    """
+    space = problem.space
+    at = dict(zip(space.names, space.decode(linear.point[None])[0].tolist(), strict=True))
+    titles, spaces, rows = [], [], []
+    for swap, right in problem.mistakes:
+        moved = {name: value for name, value in right.stated.items() if value != space.stated[name]}
+        if moved:
+            place = np.array([{**at, **moved}[name] for name in right.names])
+            titles.append(swap.title)
+            spaces.append(right)
+            rows.append(right.full(np.clip(right.encode(place), 0.0, 1.0)[None])[0])
+    if not rows:
+        return _Mistake(None, {}, 0)
+    cost = problem.cost.mean(problem.score(np.array(rows)).by_channel)
+    best, values, evaluations = None, dict[str, float](), len(rows)
+    least += _AS_WELL * float(linear.scale[-1]) ** 2
+    for k in np.argsort(cost)[:_ALONE]:
+        other = replace(problem, space=spaces[k])  # type: ignore[type-var]
+        start = spaces[k].encode(rows[k][spaces[k].columns])
+        solved = solve(
+            other, np.clip(start, 0.0, 1.0)[None], linear.scale, rise=linear.jacobian.rise,
+            tolerance=linear.tolerance, iterations=_ITERATIONS,
+        )  # fmt: skip
+        evaluations += solved.evaluations
+        after = adequacy(other, spaces[k].full(solved.points)[0])
+        if after.verdict == EXPLAINED_BY and solved.squares[0] < least:
+            least = float(solved.squares[0])
+            sentence = f"with {titles[k]} {_falls(before, after)}: correct the campaign"
+            best = _suspect("swap", [titles[k]], after, [sentence])
+            values = dict(zip(spaces[k].names, spaces[k].decode(solved.points)[0].tolist(), strict=True))
+    return _Mistake(best, values, evaluations)
 
 
 def _without(problem: Problem, point: FloatArray, bad: Suspect) -> Inquiry:
@@ -112,6 +173,15 @@ def without_accused(
     for one in suspects:
         if one.sentences and one.what == "trial":
             problem = problem.only([name for name in problem.names if name not in one.names])
+        elif one.sentences and one.what == "swap":
+            before = problem.space
+            right = next(space for swap, space in problem.mistakes if swap.title in one.names)
+            problem = replace(problem, space=right)  # type: ignore[type-var]
+            values = before.decode(point[None])[0]
+            for i, name in enumerate(before.names):
+                if name in right.stated and right.stated[name] != before.stated[name]:
+                    values[i] = right.stated[name]
+            point = np.clip(right.encode(values), 0.0, 1.0)
         elif one.sentences:
             at = dict(zip(problem.space.names, point.tolist(), strict=True))
             problem = replace(problem, space=problem.space.unstating(one.names))  # type: ignore[type-var]
@@ -121,11 +191,12 @@ def without_accused(
 
 def _freed(
     problem: Problem, linear: Linearized, sets: Sequence[Sequence[str]], rows: Sequence[StatedValue]
-) -> tuple[FloatArray, int]:
+) -> tuple[FloatArray, float, int]:
     """Return where fits end, each without the statements of one set; in the last the wrong are as stated.
 
-    Points (F + 1, n) [unit cube], and how many were simulated. The first set walks from what its values are
-    in the fit and from what the trials ask for: a statement that has not let go may lie beyond a ridge.
+    Points (F + 1, n) [unit cube], the sum of squares of the first, and how many were simulated. The first set
+    walks from what its values are in the fit and from what the trials ask for: a statement that has not let
+    go may lie beyond a ridge.
     """
     space, stop = problem.space, problem.blocks[-1].stop
     places = {name: i for i, name in enumerate(space.stated)}
@@ -148,7 +219,7 @@ def _freed(
     points = np.delete(solved.points, -2, axis=0)
     if solved.squares[-2] < solved.squares[0]:
         points[0] = solved.points[-2]
-    return points, solved.evaluations
+    return points, float(min(solved.squares[-2], solved.squares[0])), solved.evaluations
 
 
 def _trials(problem: Problem, before: Adequacy, without: Solved) -> list[Suspect]:
@@ -171,7 +242,7 @@ def _trials(problem: Problem, before: Adequacy, without: Solved) -> list[Suspect
 
 
 def _suspect(
-    what: Literal["value", "trial"], names: Sequence[str], judged: Adequacy, sentences: list[str]
+    what: Literal["value", "swap", "trial"], names: Sequence[str], judged: Adequacy, sentences: list[str]
 ) -> Suspect:
     return Suspect(
         what=what, names=[*names], over_noise=judged.ratio, worst_channel=judged.misfit.channel_ratio,

@@ -13,6 +13,7 @@ import tomlkit
 
 from sysid.campaign import read_campaign
 from sysid.campaign.file import resolve_log
+from sysid.campaign.swaps import Swap
 from sysid.errors import ExportError, FitError
 from sysid.fit.adequacy import EXPLAINED_BY, adequacy
 from sysid.journal import Journal, Say
@@ -21,7 +22,7 @@ from sysid.report.explain import conclusion, figure_rungs, moves_table, rungs_ta
 from sysid.report.fold import print_lines, print_result, print_table
 from sysid.storage import check_file, write_file
 from sysid.trust.assessment import judge_fit
-from sysid.trust.documents import ExplainDocument, LadderRung, Suspect, TrustDocument, write_part
+from sysid.trust.documents import ExplainDocument, LadderRung, TrustDocument, write_part
 from sysid.trust.ladder import Climber, TermFit
 from sysid.trust.suspects import put_on_trial, without_accused
 from sysid.workflows.reopen import OpenedFit, open_fit, shown_from_here
@@ -40,7 +41,7 @@ def explain_and_print(
 ) -> None:
     """Find what a campaign states wrongly, and which terms its model lacks; store, print and draw that.
 
-    `adopt` is a campaign file to write, in which a bad trial is not fitted and the terms to keep are free.
+    `adopt` is a campaign file to write: a mistake is undone, a bad trial not fitted, terms to keep are free.
     Raises `SysidError` for a kind without terms, too few fitted trials and a file that cannot be written.
     """
     if figure is not None:
@@ -54,7 +55,7 @@ def explain_and_print(
     if adopt is not None:
         line = [_adopted(opened, document, adopt)]
     else:
-        able = document.keep or _bad_trials(document.suspects)
+        able = document.keep or _accused(document, "swap") or _accused(document, "trial")
         line = ["--adopt FILE writes a campaign with what to change"] if able else []
     if not print_result(document.printed(), json):
         if document.together:
@@ -140,8 +141,8 @@ def _rung(rung: TermFit) -> LadderRung:
     )
 
 
-def _bad_trials(suspects: Sequence[Suspect]) -> list[str]:
-    return [name for one in suspects if one.sentences and one.what == "trial" for name in one.names]
+def _accused(document: ExplainDocument, what: str) -> list[str]:
+    return [name for one in document.suspects if one.sentences and one.what == what for name in one.names]
 
 
 def _check_adopting(opened: OpenedFit, adopt: Path, force: bool) -> None:
@@ -156,10 +157,10 @@ def _check_adopting(opened: OpenedFit, adopt: Path, force: bool) -> None:
 
 
 def _adopted(opened: OpenedFit, document: ExplainDocument, adopt: Path) -> str:
-    """Write the campaign with the terms to keep and without a bad trial; return what was done."""
-    bad = _bad_trials(document.suspects)
-    if not document.parameters and not bad:
-        measured = [name for one in document.suspects if one.sentences for name in one.names]
+    """Write the campaign with the terms to keep, without a mistake or a bad trial; return what was done."""
+    bad, mistakes = _accused(document, "trial"), _accused(document, "swap")
+    if not document.parameters and not bad and not mistakes:
+        measured = _accused(document, "value")
         why = "no term is kept, so there is nothing to adopt"
         if measured:
             why = f"what is measured again belongs there: {', '.join(measured)}"
@@ -168,7 +169,8 @@ def _adopted(opened: OpenedFit, document: ExplainDocument, adopt: Path) -> str:
     if document.parameters:
         # Numbers of single trials are not named in a campaign, nor is what it states.
         names = [row.name for row in opened.space.found if not row.trial] + document.parameters
-    text = edited(opened.whole.campaign.source.text, names, bad, opened.path, adopt)
+    swaps = [swap for swap, _ in opened.problem.mistakes if swap.title in mistakes]
+    text = edited(opened.whole.campaign.source.text, names, bad, opened.path, adopt, swaps)
     write_file(adopt, text.encode(), FitError)
     # The campaign keeps its name, by which its fit would take the place of this one.
     folder = opened.folder.resolve()
@@ -176,14 +178,18 @@ def _adopted(opened: OpenedFit, document: ExplainDocument, adopt: Path) -> str:
     return f"wrote {adopt}; fit it next: sysid fit {adopt} --out {out}"
 
 
-def edited(text: str, free: Sequence[str], bad: Sequence[str], before: Path, after: Path) -> str:
+def edited(
+    text: str, free: Sequence[str], bad: Sequence[str], before: Path, after: Path, swaps: Sequence[Swap] = ()
+) -> str:
     """Return the text of a campaign file `before` as a file `after`, with all comments.
 
-    It has other `free` parameters, if any, and does not fit the `bad` trials.
+    It has other `free` parameters, if any, does not fit the `bad` trials, and has no `swaps`.
     """
     campaign: MutableMapping[str, Any] = tomlkit.parse(text)
     if free:
         campaign.setdefault("parameters", tomlkit.table())["free"] = [*free]
+    for swap in swaps:
+        swap.undo_in(campaign)
     for trial in campaign["trials"]:
         if trial["name"] in bad:
             trial["use"] = "validate"

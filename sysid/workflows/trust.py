@@ -105,10 +105,9 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
     inquiry = put_on_trial(problem, assessed.noise, judged, assessed.without)
     for finding in inquiry.findings:
         journal.add(finding)
-    wrong = " and ".join(row.name for row in inquiry.stated if row.contradicted)
     for row in rows:
         if inquiry.freed and not row.contains(value := inquiry.freed[row.name]):
-            doubts[row.name].append(f"{value:.4g} without what is stated of {wrong}")
+            doubts[row.name].append(f"{value:.4g} {inquiry.way}")
     bad = any(finding.code == "bad-trial" for finding in inquiry.findings)
     _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks and not bad)
     record = opened.result.provenance

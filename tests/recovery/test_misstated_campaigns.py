@@ -11,6 +11,7 @@ from fakes.lab import GOOD_LAB, misstated
 from fakes.places import SAMPLES
 from sysid.synthetic import read_truth, synthesize_gear
 from sysid.trust.documents import TrustDocument
+from sysid.workflows.explain import explain_and_print
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.options import FitOptions
 
@@ -154,7 +155,8 @@ def test_two_gross_errors_are_named_though_no_foot_touches_in_time(campaign, gro
 
 def test_two_exchanged_slopes_are_named_as_exchanged(campaign):
     path = misstated(campaign, 6, name="exchanged.toml")
-    parts = path.read_text("utf-8").split("\nslope = ")
+    right = path.read_text("utf-8")
+    parts = right.split("\nslope = ")
     # The first drops have slopes of 5, 10, 15, 20, 27, 35 and 12 deg; the seventh is fitted here.
     second, seventh = (parts[k].partition("\n") for k in (2, 7))
     parts[2], parts[7] = (
@@ -166,9 +168,29 @@ def test_two_exchanged_slopes_are_named_as_exchanged(campaign):
     wrong = {row.name: row for row in trust.stated if row.contradicted}
     assert wrong.keys() == {"slope[drop-2]", "slope[drop-7]"}
     assert math.degrees(wrong["slope[drop-2]"].asked) == pytest.approx(10, abs=0.1)
-    assert any("looks exchanged with slope[drop-7]" in one for one in trust.warnings)
+    # The exchange explains both, so it stands first, and an adopted campaign is without it.
+    accused, values = trust.suspects
+    assert (accused.what, accused.verdict, values.sentences) == ("swap", "explained", [])
+    assert "the slopes (or the logs) of drop-2 and drop-7 exchanged 3." in trust.warnings[0]
+    adopted = path.with_name("adopted.toml")
+    explain_and_print(path.with_suffix(""), adopt=adopted)
+    assert adopted.read_text("utf-8") == right.replace("validate", "fit", 1)
     true = read_truth(campaign.parent)["parameters"]
     assert sum(row.contains(true[name]) for name, row in trust.by_name.items()) >= 7
+
+
+def test_a_lost_sign_of_the_centre_of_mass_is_named(campaign):
+    path = misstated(campaign, 6, name="sign.toml")
+    right = path.read_text("utf-8")
+    line = next(one for one in right.splitlines() if one.startswith("centre_of_mass_offset"))
+    head, value = line.rsplit(', "', 1)
+    path.write_text(right.replace(line, f'{head}, "-{value}'), "utf-8")
+    _, trust = fitted(path)
+    assert [one.what for one in trust.suspects if one.sentences] == ["swap"]
+    assert "with the other sign of centre_of_mass_offset[2]" in trust.warnings[0]
+    adopted = path.with_name("mended.toml")
+    explain_and_print(path.with_suffix(""), adopt=adopted)
+    assert adopted.read_text("utf-8") == right
 
 
 def test_a_parameter_that_a_wrong_statement_bends_is_doubted(tmp_path):

@@ -6,7 +6,6 @@ from scipy.optimize import least_squares
 
 from sysid.parameters import Parameter, ParameterTable, SearchSpace, loosened
 from sysid.stated import Stated
-from sysid.trust.documents import StatedValue
 from sysid.trust.linearized import Information, Linearized
 from sysid.trust.problem import Jacobian
 from sysid.trust.stated import contradictions, stated_values
@@ -107,21 +106,6 @@ def test_values_that_trials_cannot_tell_apart_are_named_together():
     assert rows["v0"].asked == pytest.approx(1.0, abs=0.04)
     assert rows["v1"].asked == pytest.approx(1.8, abs=0.08)
     assert "would do the same" in contradictions([*rows.values()], space, FALLS)[0].sentence
-
-
-def test_two_values_that_ask_for_each_other_look_exchanged():
-    row = StatedValue(
-        name="v0", symbol="v_0", unit="kg", stated=1.1, error=0.01, fitted=1.05, sigma=0.001, pull=-5.0,
-        gain=100.0, asked=1.0, contradicted=True, partners=[],
-    )  # fmt: skip
-    other = row.model_copy(update={"name": "v1", "stated": 1.01, "asked": 1.09, "gain": 50.0})
-    space = space_of(TRUE)
-    ends = [
-        finding.sentence.partition("again; ")[2] for finding in contradictions([row, other], space, FALLS)
-    ]
-    assert ends == ["it looks exchanged with v1", "it looks exchanged with v0"]
-    elsewhere = other.model_copy(update={"asked": 1.2})
-    assert "exchanged" not in contradictions([row, elsewhere], space, FALLS)[0].sentence
 
 
 def test_a_statement_lets_go_beyond_three_errors_and_pulls_like_a_square_before():
