@@ -74,6 +74,7 @@ CURVES = {
 ROWS = {
     "slope[3]": "slope[drop-3]", "centre_of_mass_offset[1]": "centre_of_mass_dz",
     "centre_of_mass_offset[2]": "centre_of_mass_dx", "point[1]": "surface_dz", "point[2]": "surface_dx",
+    "tilt": "capture_tilt",
 }  # fmt: skip
 
 
@@ -96,7 +97,7 @@ def gross_keys(law):
     """Keys of which one is off by far."""
     if law == "motor":
         return ["rotor_inertia", "reference_voltage", *CURVES]
-    keys = [*(k for k in GOOD_LAB if k not in ("slope", "point", "centre_of_mass_offset")), *ROWS]
+    keys = [*(k for k in GOOD_LAB if k not in ("slope", "point", "centre_of_mass_offset", "tilt")), *ROWS]
     return [k for k in keys if law == "lf" or not k.startswith(("leg_", "kinetic"))]
 
 
