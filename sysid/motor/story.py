@@ -42,6 +42,7 @@ class MotorStory(Story[MotorProblem]):
     """Descriptions of the trials of a bench."""
 
     known_words = "static curves and tares; ranges under parameters.measured"
+    stated_example = "920 rpm/V ± 2 %"
 
     @property
     def keys(self) -> Mapping[str, str]:
