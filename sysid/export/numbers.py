@@ -299,10 +299,10 @@ def numbers_for(
     An interval combines independent contributions: each judged parameter and each static curve at the ends
     of its own 95 % interval (both coefficients of a curve together), the calibration of the load cells for
     thrust and for torque, and the scatter of steady speeds under one command. A parameter whose interval is
-    open counts up to the bound of the search. The inertia is taken as exact, and Kv beside the intervals of
-    R and L, which contain its stated error. Where the steady speed is no line of the command, its levels
-    count as they were measured, with the supply that sags under their load. Where the model does not explain
-    the logs, time constants come from the steps in the logs, if the fit states them.
+    open counts up to the bound of the search. The inertia is taken as it stands in the set, and so is Kv
+    beside the intervals of R and L, which contain its stated error. Where the steady speed is no line of the
+    command, its levels count as they were measured, with the supply that sags under their load. Where the
+    model does not explain the logs, time constants come from the steps in the logs, if the fit states them.
 
     Examples
     --------
@@ -498,13 +498,10 @@ def _notes(
     """Return what holds for all numbers: what is exact, full command and its supply, the fit's verdict."""
     stand = sets.settings.get("stand", {})
     calibration, curves = stand.get("calibration"), stand.get("curves", ())
+    fitted = {row.name for row in sets.parameters if row.status in ("stated", "free")}
     # Where the campaign states errors, the intervals of R and L contain that of Kv.
-    moved = any(row.name == "back_emf_constant" and row.status == "stated" for row in sets.parameters)
-    exact = (
-        "the inertia as exact, the error of Kv as far as R and L have it"
-        if moved
-        else "Kv and the inertia as exact"
-    )
+    kv = "the error of Kv as far as R and L have it" if "back_emf_constant" in fitted else "Kv as exact"
+    exact = f"the inertia as {'fitted' if 'rotor_inertia' in fitted else 'exact'}, {kv}"
     out = [f"Intervals take {exact}, and the calibration of the load cell as exact."]
     if calibration is not None:
         out = [

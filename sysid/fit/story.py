@@ -46,6 +46,8 @@ class Story(Generic[P]):
 
     # Quantities that trust counts as uncertain besides the noise.
     known_words: str = ""
+    # A quantity as a campaign states it with its error.
+    stated_example: str = "1.24 kg ± 2 g"
 
     def __init__(self, problem: P) -> None:
         self.problem = problem
@@ -86,7 +88,7 @@ class Story(Generic[P]):
         if own := [key for key, assumed in errors.items() if not assumed]:
             tell(f"fitted within their errors as well: {', '.join(own)}", detail=True)
         if typical := [f"{key} {assumed}" for key, assumed in errors.items() if assumed]:
-            advice = "state your own, as in '1.24 kg ± 2 g'"
+            advice = f"state your own, as in '{self.stated_example}'"
             # Also on a short output: it is the one assumption that a user has not made.
             tell(f"assumed errors, within which these are fitted: {', '.join(typical)}; {advice}")
 

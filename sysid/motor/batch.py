@@ -103,6 +103,7 @@ def simulate_population(
     trials: SimulatedTrials,
     *,
     delays: FloatArray | None = None,
+    drags: FloatArray | None = None,
     ideal_reversal: bool = False,
     tolerance: float = TOLERANCE,
     threads: int | None = None,
@@ -110,8 +111,9 @@ def simulate_population(
     """Simulate every candidate on every trial; one that cannot be simulated has a status, not an exception.
 
     `parameters` (P, n_table) are rows of `sysid.motor.model.PARAMETERS` [SI]; `delays` (P, n_trials) are
-    added to ``command_delay`` [s]; `ideal_reversal` and `tolerance` as in `sysid.motor.model.simulate`. The
-    result does not depend on the number of `threads`.
+    added to ``command_delay`` [s], `drags` (P,) are factors on the drags of the trials' steady levels [1];
+    `ideal_reversal` and `tolerance` as in `sysid.motor.model.simulate`. The result does not depend on the
+    number of `threads`.
 
     The torque is averaged over each sample's cell, from half-way after the sample before to half-way
     before the next: it jumps when the dead band ends and, as L → 0, at each command.
@@ -124,8 +126,9 @@ def simulate_population(
     reached = np.empty(status.shape)
     in_threads(
         kernel.integrate_population, status.size, threads,
-        kernel_rows(rows), trials.delays(len(rows), delays), trials.mapped, *trials.excitation, trials.time,
-        trials.edges, trials.first, int(np.diff(trials.first).max()), trials.starts, trials.initial,
-        tolerance, ideal_reversal, outputs, status, reached,
+        kernel_rows(rows), trials.delays(len(rows), delays), np.ones(len(rows)) if drags is None else drags,
+        trials.mapped, *trials.excitation, trials.time, trials.edges, trials.first,
+        int(np.diff(trials.first).max()), trials.starts, trials.initial, tolerance, ideal_reversal, outputs,
+        status, reached,
     )  # fmt: skip
     return PopulationResult(outputs, status, reached)

@@ -523,7 +523,7 @@ def integrate(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def integrate_population(
-    first_job, last_job, rows, delays, mapped, command_time, command, command_first, supply_time,
+    first_job, last_job, rows, delays, drags, mapped, command_time, command, command_first, supply_time,
     supply_ratio, supply_first, samples, edges, first, longest, starts, initial, tolerance, ideal, out,
     status, reached,
 ):  # fmt: skip
@@ -546,11 +546,13 @@ def integrate_population(
         time = samples[first[j] : first[j + 1]]
         edge = edges[first[j] + j : first[j + 1] + j + 1]
         speeds, charges = all_speeds[: time.size], all_charges[: edge.size]
+        levels = mapped[command_first[j] : command_first[j + 1]].copy()
+        levels[:, 1] *= drags[i]
         code, share, _ = integrate(
             row,
             command_time[command_first[j] : command_first[j + 1]],
             command[command_first[j] : command_first[j + 1]],
-            mapped[command_first[j] : command_first[j + 1]],
+            levels,
             supply_time[supply_first[j] : supply_first[j + 1]],
             supply_ratio[supply_first[j] : supply_first[j + 1]],
             time[0], time[time.size - 1], starts[j], initial[j, 0], initial[j, 1], tolerance, ideal,

@@ -19,7 +19,7 @@ from sysid.motor.curves import CurveLog, StaticCurves, read_curve_logs, static_c
 from sysid.motor.inertia import spike_inertia
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
-from sysid.motor.parameters import parameters_of
+from sysid.motor.parameters import LOAD_CELLS, parameters_of
 from sysid.motor.stand import lost_power
 from sysid.motor.static_curves import MeasuredCurve, NoLoadTie, no_load_line, turns
 from sysid.motor.targets import PreparedTrial, prepare_run
@@ -392,6 +392,9 @@ def _with_stated(space: SearchSpace, campaign: MotorCampaign, bench: Bench) -> S
     A range under `[parameters.measured]` is the error of a value that states none. Thrust stays, because no
     residual depends on it, and so does V_ref where the logs take it out again. The torque constant follows
     the back-EMF constant (`MotorProblem.complete`).
+
+    The load cells of the static logs and of the trials have a factor each, because even one cell, mounted
+    anew, is hardly the same to 0.1 %. Beside a curve of the trials' own levels their torque is the measure.
     """
     fixed, ranges = (
         campaign.parameters.fixed_values(PARAMETERS),
@@ -408,11 +411,8 @@ def _with_stated(space: SearchSpace, campaign: MotorCampaign, bench: Bench) -> S
         return space
     stays = {*PARAMETERS.group("thrust curve")} | ({*bench.curves.parameters} - {*fixed})
     chosen, turning = {*space.names, *fixed}, {trial.entry.direction for trial in bench.fitted}
-    curves = [
-        each
-        for each in bench.measured_curves
-        if each.fit.direction in turning and not {*each.fit.parameters} & chosen
-    ]
+    own = [each for each in bench.measured_curves if not {*each.fit.parameters} & chosen]
+    curves = [each for each in own if each.fit.direction in turning]
     if not (bench.volts and curves) or {"reference_voltage", *PARAMETERS.group("no-load line")} & chosen:
         stays.add("reference_voltage")
     if {*CONSTANTS} <= {*stated} and not {*CONSTANTS} & {*fixed}:
@@ -421,4 +421,10 @@ def _with_stated(space: SearchSpace, campaign: MotorCampaign, bench: Bench) -> S
     for curve in curves:
         stated |= {row.name: Stated(1.0, error) for row, error in zip(curve.rows, curve.errors, strict=True)}
     rows = [row for curve in curves for row in curve.rows]
+    log, weighed = campaign.log, {each.fit.direction for each in own if each.fit.quantity == "torque"}
+    if log.calibration_error > 0 and weighed & turning and {*bench.curves.ties} <= weighed:
+        cells = LOAD_CELLS if turning <= weighed else LOAD_CELLS[:1]
+        assumed = "" if "calibration_error" in log.model_fields_set else f"{100 * log.calibration_error:g} %"
+        stated |= dict.fromkeys((row.name for row in cells), Stated(1.0, log.calibration_error, assumed))
+        rows += cells
     return space.with_stated(stated, rows)

@@ -79,6 +79,13 @@ def curve_factor(curve: str, place: str, direction: str) -> str:
     return f"{curve}_{place}_{direction}"
 
 
+# Factors on the torque of the static logs and on that of the trials, whose load cells may differ.
+LOAD_CELLS = tuple(
+    Parameter(f"load_cell_factor_{logs}", f"f_{logs}", "1", 1.0, 0.0, 2.0, "linear",
+              f"True torque over that of the load cell, {logs}.", "calibration", "load cell")
+    for logs in ("static", "trials")
+)  # fmt: skip
+
 PARAMETERS = ParameterTable(
     [
         Parameter("winding_resistance", "R", "Ω", 0.299, 0.05, 2.0, "log",
@@ -133,6 +140,7 @@ PARAMETERS = ParameterTable(
         "k2_over_R", "R_over_L", "k_I_sat", "electromechanical_time_constant",
         *(curve_factor(curve, place, way) for curve in ("no_load_line", "torque_curve")
           for place in ("top", "middle") for way in ("forward", "reverse")),
+        *(row.name for row in LOAD_CELLS),
     ),
 )  # fmt: skip
 

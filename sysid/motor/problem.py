@@ -26,10 +26,10 @@ from sysid.motor.cost import CHANNELS, BenchCost, MotorTarget
 from sysid.motor.known_values import CONSTANTS, Bench
 from sysid.motor.log_delays import delay_name, shifts
 from sysid.motor.model import PARAMETERS
-from sysid.motor.parameters import SENSORS
+from sysid.motor.parameters import LOAD_CELLS, SENSORS
 from sysid.motor.static_curves import MEASURED_CURVE, MeasuredCurve, NoLoadTie, no_load_line
 from sysid.motor.targets import PreparedTrial, measured_spectrum
-from sysid.parameters import SearchSpace
+from sysid.parameters import Parameter, SearchSpace
 from sysid.trials.bench_log import STANDS
 from sysid.types import BoolArray, FloatArray, IntArray, Rotation
 
@@ -194,12 +194,13 @@ class MotorProblem(Problem):
     def complete(self, rows: FloatArray) -> FloatArray:
         """Return rows (P, n_table) [SI] with all that follows from other values of theirs.
 
-        No-load lines follow R, k_d and V_ref, measured curves their rows, and k_m a k_v of the same source.
+        No-load lines follow R, k_d and V_ref, measured curves their rows and their load cell, and k_m a k_v
+        of the same source.
         """
         rows = np.array(rows, dtype=np.float64)
         if self.one_constant:
             rows[:, _INDEX["torque_constant"]] = rows[:, _INDEX["back_emf_constant"]]
-        table, lift = self.space.table, np.ones(len(rows))
+        table, lift, cell = self.space.table, np.ones(len(rows)), self._cell(rows, LOAD_CELLS[0])
         if table.group(MEASURED_CURVE) and rows.shape[1] == len(table):
             if self.bench.volts:
                 voltage = rows[:, _INDEX["reference_voltage"]]
@@ -210,16 +211,21 @@ class MotorProblem(Problem):
                     shares = rows[:, [table.index[row.name] for row in curve.rows]] - 1.0
                     # No matrix product: BLAS rounds a row by the number of its neighbours.
                     coefficients = coefficients + sum(shares[:, [i]] * c for i, c in enumerate(curve.changes))
-                if curve.fit.quantity == "no_load":
-                    coefficients = coefficients * lift[:, None]
-                rows[:, [_INDEX[name] for name in curve.fit.parameters]] = coefficients
+                factor = lift if curve.fit.quantity == "no_load" else cell
+                rows[:, [_INDEX[name] for name in curve.fit.parameters]] = coefficients * factor[:, None]
         column = {name: rows[:, i] for name, i in _INDEX.items()}
         scale = column["torque_constant"] * column["back_emf_constant"]
         drop, sag = column["winding_resistance"] / scale, column["supply_resistance"] / scale
         for direction, tie in self.ties.items():
-            line = tie.line(drop, column["viscous_damping"], sag)
+            # The drags of the points are of the static logs; k_d is no torque of their load cell.
+            line = tie.line(drop * cell, column["viscous_damping"] / cell, sag * cell)
             rows[:, [_INDEX[name] for name in no_load_line(direction)]] = line * lift[:, None]
         return rows
+
+    def _cell(self, rows: FloatArray, cell: Parameter) -> FloatArray:
+        """Return the factor (P,) [1] on the torque of a load cell; 1 where it is taken as exact."""
+        place = self.space.table.index.get(cell.name, rows.shape[1])
+        return rows[:, place].copy() if place < rows.shape[1] else np.ones(len(rows))
 
     @cached_property
     def _own_curves(self) -> tuple[MeasuredCurve, ...]:
@@ -266,8 +272,11 @@ class MotorProblem(Problem):
         tell_of_kernel("the motor's kernels")
         runs = simulate_population(
             rows[:, : len(PARAMETERS)], self.jobs, delays=shifts(self.space.table, rows, self.prepared),
-            tolerance=FIT_TOLERANCE, threads=self.threads, ideal_reversal=self.ideal_reversal,
+            drags=self._cell(rows, LOAD_CELLS[0]), tolerance=FIT_TOLERANCE, threads=self.threads,
+            ideal_reversal=self.ideal_reversal,
         )  # fmt: skip
+        # The trials are compared as their load cell shows them.
+        runs.outputs[:, :, 0] /= self._cell(rows, LOAD_CELLS[1])[:, None]
         # Success is a status, not a share that rounding could leave at 1 - 1e-16.
         reached = np.where(runs.status == 0, 1.0, np.minimum(runs.reached, 1.0 - 1e-9))
         return runs.outputs, reached, runs.status
@@ -415,8 +424,9 @@ class MotorProblem(Problem):
 
     @property
     def _of_stand(self) -> set[str]:
-        """Stated values of the static logs: rows of their curves, and the supply."""
-        return {"reference_voltage", *self.space.table.group(MEASURED_CURVE)} & {*self.space.stated}
+        """Stated values of the static logs: rows of their curves, their load cell, and the supply."""
+        own = {"reference_voltage", LOAD_CELLS[0].name, *self.space.table.group(MEASURED_CURVE)}
+        return own & {*self.space.stated}
 
     @property
     def instruments(self) -> Collection[str]:

@@ -15,6 +15,7 @@ from sysid.motor.curves import supply_ratio
 from sysid.motor.inertia import spikes
 from sysid.motor.known_values import CONSTANTS, KEYS, NO_INDUCTANCE, Bench
 from sysid.motor.model import PARAMETERS, unpack
+from sysid.motor.parameters import LOAD_CELLS
 from sysid.motor.problem import MotorProblem
 from sysid.motor.static_curves import turns
 from sysid.motor.targets import filter_design
@@ -42,12 +43,14 @@ class MotorStory(Story[MotorProblem]):
     """Descriptions of the trials of a bench."""
 
     known_words = "static curves and tares; ranges under parameters.measured"
+    stated_example = "920 rpm/V ± 2 %"
 
     @property
     def keys(self) -> Mapping[str, str]:
-        """Kv by its key, and the curves of static logs by what they are."""
+        """Kv and load cells by their keys, and the curves of static logs by what they are."""
         rows = (row.name for curve in self.problem.bench.measured_curves for row in curve.rows)
-        return {**KEYS, **dict.fromkeys(rows, "static curves")}
+        cells = dict.fromkeys((row.name for row in LOAD_CELLS), "calibration_error")
+        return {**KEYS, **dict.fromkeys(rows, "static curves"), **cells}
 
     @property
     def hashes(self) -> Mapping[str, str]:

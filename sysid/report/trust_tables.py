@@ -153,6 +153,8 @@ def stated_table(document: TrustDocument) -> Table | None:
             "torque_curve, no_load_line: factor on the measured curve, at full speed or command (top) and "
             "half-way (middle), with the error that the scatter of its points gives"
         )
+    if "load_cell" in names:
+        notes.append("load_cell_factor: true torque over the measured one, of static logs and of trials")
     return table(
         "what the campaign states, and what the fit made of it",
         document.stated,

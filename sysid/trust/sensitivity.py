@@ -38,9 +38,14 @@ def outlook(problem: Problem, point: FloatArray, noise: NoiseModel) -> Linearize
 
 
 def drawn_outlooks(problem: Problem, noise: NoiseModel) -> tuple[Linearized, ...]:
-    """Return the outlooks at points drawn from the bounds, as far as they can be simulated."""
+    """Return the outlooks at points drawn from the bounds, as far as they can be simulated.
+
+    What the campaign states stays as stated: its bounds are twenty errors away.
+    """
     drawn = np.random.default_rng(0).random((ELSEWHERE, len(problem.space.free)))
     drawn = _INSIDE + (1 - 2 * _INSIDE) * drawn
+    found = len(problem.space.found)
+    drawn[:, found:] = nominal_point(problem.space)[found:]
     _, failed = problem.residuals(drawn)
     return tuple(outlook(problem, point, noise) for point in drawn[~failed])
 

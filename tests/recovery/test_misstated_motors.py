@@ -65,6 +65,25 @@ def test_a_gross_error_is_named(campaign, key):
         assert wrong.asked == pytest.approx(true, abs=3 * wrong.sigma)
 
 
+@pytest.mark.parametrize("factor", [1.015, 1.1])
+def test_a_load_cell_is_named_beyond_the_error_of_its_calibration(campaign, factor):
+    for way in ("forward", "reverse"):
+        scaled(campaign.with_name(f"static-{way}.csv"), "Torque", factor)
+    _, trust, _ = fitted(misstated(campaign, 4, name="cell.toml", errors=MOTOR_LAB))
+    assert trust.adequacy.verdict == "explained"
+    # Three standard deviations of 1 % are the most that no chance explains.
+    wrong = [row for row in trust.stated if row.contradicted]
+    assert len(wrong) == (factor > 1.03)
+    for row in wrong:
+        # Torque cannot say which of the two load cells is off.
+        cells = ["load_cell_factor_static", "load_cell_factor_trials"]
+        assert sorted([row.name, *row.partners]) == cells
+        asked = factor if row.name == cells[1] else 1 / factor
+        assert row.asked == pytest.approx(asked, abs=2 * row.sigma)
+    for name in ("winding_resistance", "winding_inductance"):
+        assert trust.by_name[name].contains(MOTOR[name])
+
+
 def test_the_same_taken_as_exact_is_a_confident_error(campaign):
     path = misstated(campaign, 0, name="exact.toml", errors={"kv": "2 %"}, gross={"kv": 1.0})
     _, trust, _ = fitted(path, exact=True)

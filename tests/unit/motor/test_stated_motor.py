@@ -24,6 +24,7 @@ CURVES = [
     for curve in ("torque_curve", "no_load_line")
     for place in ("top", "middle")
 ]
+CELLS = ["load_cell_factor_static", "load_cell_factor_trials"]
 
 
 def unstated(path):
@@ -55,15 +56,15 @@ def test_what_was_measured_moves(path):
     campaign, bench = bench_of(path)
     space = problem_of(campaign, bench).space
     measured = ("back_emf_constant", "rotor_inertia", "reference_voltage")
-    assert {*space.stated} == {*measured, *CURVES}
+    assert {*space.stated} == {*measured, *CURVES, *CELLS}
     # The errors as stated; curves state their own.
     shares = [space.stated[name].error / space.stated[name] for name in measured]
     assert shares == pytest.approx([0.02, 0.05, 0.005], rel=1e-3)
-    assert not any(value.assumed for value in space.stated.values())
+    assert {name for name, value in space.stated.items() if value.assumed} == {*CELLS}
     # A campaign that states no error has the typical ones, which are those of this lab.
     assumed = problem_of(*bench_of(unstated(path))).space.stated
-    assert {*assumed} == {*measured, *CURVES}
-    assert [assumed[name].assumed for name in measured] == ["2 %", "5 %", "0.5 %"]
+    assert {*assumed} == {*measured, *CURVES, *CELLS}
+    assert [assumed[name].assumed for name in (*measured, *CELLS)] == ["2 %", "5 %", "0.5 %", "1 %", "1 %"]
     assert [assumed[name].error / assumed[name] for name in measured] == pytest.approx(shares, rel=1e-3)
     assert [row.name for row in space.found] == [
         "winding_resistance", "winding_inductance", "viscous_damping", "command_delay[forward-1.csv]",
@@ -93,11 +94,11 @@ def test_what_was_measured_moves(path):
 def test_check_says_whose_error_decides(path):
     heard = []
     found = check_campaign(unstated(path), say=heard.append, details=True)
-    # R goes as k²: its half-width is twice that of a Kv known to 2 %, and little else.
+    # R goes as k²: its half-width is twice that of a Kv known to 2 %. Two load cells of 1 % add 0.7 %.
     half_width = next(row.half_width for row in found.parameters if row.name == "winding_resistance")
     assert half_width == pytest.approx(2 * 1.96 * 0.02, rel=0.05)
     (worth,) = [one for one in found.sentences if one.startswith("measured four times better")]
-    assert re.search(r"kv \(R ± 7\.8 % -> ± 2(\.\d)? %", worth)
+    assert re.search(r"kv \(R ± 7\.9 % -> ± 2(\.\d)? %", worth)
     (idle,) = [one for one in found.sentences if one.startswith("measured better")]
     assert "rotor_inertia, static curves" in idle
     assert "kv" not in idle
@@ -143,6 +144,33 @@ def test_a_static_log_moves_its_curve(path):
         assert np.ptp(ratio) == pytest.approx(0, abs=1e-6)
         # Student's t at one in a thousand with 18 degrees of freedom: 3.61 instead of 3.09.
         assert ratio[0, 0] == pytest.approx((3.61 / 3.09) ** 2, rel=0.05)
+
+
+@pytest.mark.parametrize("bare", [True, False])
+def test_a_factor_of_a_load_cell_is_a_log_of_another_scale(bare, path):
+    if not bare:
+        # The no-load speed then follows R and the drag of the static logs, by the map of their levels.
+        text = re.sub(r"(?s)\nno_load = \[.*?\n\]", "", path.read_text(encoding="utf-8"))
+        path.write_text(text, encoding="utf-8")
+    plain = problem_of(*bench_of(path))
+    assert bool(plain.bench.curves.maps) != bare
+    moved = signals(plain, load_cell_factor_static=1.03)
+    assert np.max(np.abs(moved / signals(plain) - 1)) > 0.01
+    for way in ("forward", "reverse"):
+        scaled(path.with_name(f"static-{way}.csv"), "Torque", 1.03)
+    np.testing.assert_allclose(moved, signals(problem_of(*bench_of(path))), rtol=1e-4, atol=1e-5)
+    # What a load cell shows is too little by the factor; the speed is none of its business.
+    shown = signals(plain, load_cell_factor_trials=1.02) / signals(plain)
+    np.testing.assert_allclose(shown - [1 / 1.02, 1], 0, atol=1e-12)
+
+
+def test_load_cells_are_exact_where_their_error_is_none(path):
+    path = edited(path, (r"^\[fit\]", '[log]\ncalibration_error = "0.5 %"\n[fit]'))
+    stated = problem_of(*bench_of(path)).space.stated
+    for name in CELLS:
+        assert (stated[name], stated[name].error, stated[name].assumed) == (1, 0.005, "")
+    exact = edited(path, ('"0.5 %"', '"0 %"'))
+    assert {*stated} - {*problem_of(*bench_of(exact)).space.stated} == {*CELLS}
 
 
 def test_what_follows_is_completed_once(path):
