@@ -160,7 +160,7 @@ def test_two_exchanged_slopes_are_named_as_exchanged(campaign):
     right = path.read_text("utf-8")
     parts = right.split("\nslope = ")
     # The first drops have slopes of 5, 10, 15, 20, 27, 35 and 12 deg; the seventh is fitted here.
-    second, seventh = (parts[k].partition("\n") for k in (2, 7))
+    second, seventh = (parts[k].partition("  #") for k in (2, 7))
     parts[2], parts[7] = (
         "".join((seventh[0], *second[1:])), "".join((second[0], *seventh[1:])).replace("validate", "fit", 1)
     )  # fmt: skip
