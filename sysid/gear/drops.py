@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,6 +45,8 @@ _EARLY_LATE = (-0.006, 0.035)
 # Distance [m] of the surface from where free fall ends from which on a drop is doubted, the largest one that
 # leaves no doubt of another campaign, and the difference of two such distances that tells nothing.
 _OUT_OF_PLACE, _IN_PLACE, _AS_NEAR = 0.006, 0.012, 0.002
+# Time before the touchdown as stated in which a foot of a misstated drop may touch already [s].
+_BEFORE = 0.03
 # Keys of the mistakes that a fit can find out.
 _HEIGHT, _SLOPES = {"foot_dz"}, {"slope"}
 # Shortest fall that tells about g [s]: five samples determine it to some 10 %.
@@ -287,7 +289,15 @@ class _Preparation:
         # A file's zero is where the body's axes are the capture's.
         level = held_level(motion, hold) if levels else self.frame.axes
         self.motion = planar_motion(motion, point, level)
-        self.flight, touchdown = fit_flight(self.motion, self.feet, hold, gravity, self.where, levels)
+        flight = partial(fit_flight, self.motion, self.feet, hold, gravity, self.where, levels)
+        fitted, self.touchdown = flight()
+        if fitted.held and self.touchdown > fitted.start + 2 * _BEFORE:
+            # A surface that is stated too low lets the contact pass for free fall, which shows without it.
+            self.flight, _ = flight(end=self.touchdown - _BEFORE)
+            late = self._leaves_free_fall() - self.touchdown - _YIELDING
+            if late * self.flight.at(np.array([self.touchdown]))[0, 4] > _OUT_OF_PLACE:
+                fitted, self.touchdown = flight(end=self.touchdown + late)
+        self.flight, touchdown = fitted, self.touchdown
         self.touchdown = touchdown if trial.touchdown is None else trial.touchdown
         self.at_touchdown = self.flight.at(np.array([self.touchdown]))[0]
         in_air = slice(hold.start, int(np.searchsorted(motion.time, touchdown)))

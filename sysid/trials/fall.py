@@ -134,13 +134,20 @@ def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float 
 
 
 def fit_flight(
-    motion: PlanarMotion, feet: Feet, hold: slice, gravity: float, where: str, level: bool = False
+    motion: PlanarMotion,
+    feet: Feet,
+    hold: slice,
+    gravity: float,
+    where: str,
+    level: bool = False,
+    end: float = np.inf,
 ) -> tuple[Flight, float]:
     """Fit hold and free flight; return them and the first contact of a foot with the plane [s].
 
     `hold` are the samples before the release (`find_fall`); where they are empty, the flight is ballistic
-    from there. `level`: the hold defines level, so a body that is released at rest has exactly no pitch.
-    Raises LogError when a foot is below the surface before the fall, or never reaches it.
+    from there. `level`: the hold defines level, so a body that is released at rest has exactly no pitch. No
+    sample from `end` on is in flight, wherever the feet are [s]. Raises LogError when a foot is below the
+    surface before the fall, or never reaches it.
     """
     clearance = feet.clearances(motion.x, motion.z, motion.pitch).min(axis=1)
     before, after = clearance[: max(hold.stop, 1)], clearance[hold.stop :]
@@ -159,7 +166,7 @@ def fit_flight(
         )
     touchdown = float(motion.time[hold.stop + contact[0]])
     for _ in range(3):  # the samples that count depend on the touchdown, which they move by less than one
-        flight = _fit(motion, hold, touchdown, gravity, where, level)
+        flight = _fit(motion, hold, min(touchdown, end), gravity, where, level)
         refined = _contact_time(flight, feet, touchdown)
         if abs(refined - touchdown) < 1e-6:
             break
