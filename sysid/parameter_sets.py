@@ -246,6 +246,8 @@ _SAME = ("kind", "name", "parameters", "settings", "provenance", "warnings")
 NOT_ALONE, COMBINATIONS = "not_identifiable_alone", "combinations"
 # Key of the settings: interval, open ends, verdict and doubt of every free parameter of an assessed fit.
 INTERVALS = "intervals"
+# Key of the settings: each stated value with its error, as fitted, and its distance from what is stated.
+STATED = "stated_values"
 # Key of the settings: parameters that data may only bound, whose digits are not printed without an interval.
 NOT_ASSESSED = "not_assessed"
 # Key of the settings: sentences on the stated values or the trial that a fit accuses.

@@ -29,7 +29,7 @@ from sysid.errors import FitError
 from sysid.fit.adequacy import Adequacy
 from sysid.fit.provenance import CampaignFile
 from sysid.journal import notice
-from sysid.parameter_sets import ACCUSED, INTERVALS, PREDICTS, Flags, Judged, Pair, SetsContent
+from sysid.parameter_sets import ACCUSED, INTERVALS, PREDICTS, STATED, Flags, Judged, Pair, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_files
 from sysid.trust.use import ClassOfUse, NumberOfUse, Use, judged_use
@@ -547,6 +547,9 @@ def stating_intervals(sets: Sets, document: TrustDocument, use: Use | None = Non
     warnings = dict.fromkeys((*sets.warnings, *document.warnings))
     accused = [sentence for one in document.suspects for sentence in one.sentences]
     settings = {**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}}
+    if document.stated:
+        fields = {"unit", "stated", "error", "fitted", "sigma", "pull"}
+        settings[STATED] = {row.name: row.model_dump(include=fields) for row in document.stated}
     return replace(
         sets,
         settings=settings

@@ -1,5 +1,6 @@
 """Drops of a right model in a campaign with a good lab's errors: all are fitted, a gross one is named."""
 
+import json
 import math
 import subprocess
 import sys
@@ -78,6 +79,12 @@ def test_every_verb_takes_a_fit_with_stated_values(campaign):
             [sys.executable, "-m", "sysid", *command.split()], capture_output=True, text=True
         )
         assert ended.returncode == 0, command + ended.stderr
+    # The fitted vehicle and its errors travel with the sets.
+    exported = json.loads((folder / "sets.json").read_text("utf-8"))
+    foot = exported["settings"]["stated_values"]["foot_dz"]
+    assert foot["sigma"] < 0.35 * foot["error"] == pytest.approx(0.35e-3)
+    assert exported["sets"][0]["values"]["foot_dz"] == pytest.approx(foot["fitted"], abs=foot["sigma"])
+    assert foot["pull"] == pytest.approx((foot["fitted"] - foot["stated"]) / foot["error"])
     again = TrustDocument.parse((folder / "trust.json").read_text("utf-8"), folder / "trust.json", ValueError)
     assert [row.verdict for row in again.parameters] == [row.verdict for row in trust.parameters]
     # The cost of pulls is no part of the NRMSE.
