@@ -2,12 +2,15 @@
 
 import math
 import pickle
+import re
 import shutil
 
 import numpy as np
 import pytest
 
 from fakes.lab import misstated
+from sysid.campaign import read_campaign
+from sysid.gear.problem import gear_space
 from sysid.synthetic import DropPlan, synthesize_gear
 from sysid.workflows.kinds import find_kind, open_campaign
 
@@ -204,3 +207,23 @@ def test_a_capture_that_leans_is_the_tilt_stated_there(exact, level, tmp_path):
         assert np.abs(ours[0][here][:15, 4] - theirs[0][there][:15, 4] + turned).max() < 1e-3
     moved = signals[0][0] - upright.predict(row_of(upright)).signals[0][0]
     assert np.abs(moved[:, 0]).max() > 2e-3
+
+
+def test_board_markers_and_a_rest_log_state_height_and_slope(tmp_path):
+    path = synthesize_gear(tmp_path / "drops", seed=3, drops=DROPS, plane="markers") / "campaign.toml"
+    text = path.read_text(encoding="utf-8").replace("exact = true", "")
+    own = re.sub(r'(?m)^(marker_height = "[^"]*)"', r'\1 ± 0.3 mm"', re.sub(r"(?m)^slope = .*\n", "", text))
+    path.write_text(own, encoding="utf-8")
+    problem = opened(path)
+    stated = problem.space.stated
+    assert (stated["surface_dz"], stated["surface_dz"].error) == (0.0, pytest.approx(0.3e-3))
+    assert stated["slope[drop-2]"] == pytest.approx(math.radians(20), abs=math.radians(0.2))
+    assert stated["slope[drop-2]"].error == pytest.approx(math.radians(0.1))
+    moved = problem.predict(row_of(problem, surface_dz=1e-3)).signals[0][0]
+    assert np.abs(moved - problem.predict(row_of(problem)).signals[0][0]).max() > 5e-4
+    assert not opened(path, exact=True).space.stated
+    # A body that rests shows the surface as exactly as its feet are known and its legs sag.
+    text = re.sub(r"(?m)^marker_height = .*\n", "", re.sub("markers = .*", 'rest_log = "rest.csv"', text))
+    path.write_text(text, encoding="utf-8")
+    stated = gear_space(read_campaign(path, "gear")).stated
+    assert stated["surface_dz"].error == pytest.approx(math.sqrt(2) * 1e-3)
