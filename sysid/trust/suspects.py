@@ -103,7 +103,7 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
             rows = [accusing.get(row.name, row) for row in rows]
             # A wrong value is the likelier cause of both.
             findings = [*again.findings, trial]
-            others = [*again.suspects, *others]
+            others = [*(one for one in again.suspects if one.sentences), *others]
             freed, way = again.freed, again.way
             evaluations += again.evaluations
         else:
