@@ -172,7 +172,7 @@ def test_trust_is_stored_and_holds_the_truth(fit, lf):
     assert deviance.min() == 0.0
     assert deviance[0] > 3.84 < deviance[-1]
     assert np.all(np.diff(arrays["profiles/joint_dx/value"]) > 0)
-    assert arrays["bootstrap/values"].shape == (10, 22)
+    assert arrays["bootstrap/values"].shape == (10, 23)
     assert len(document.spread.trials) == 4
     # A new fit, and what was known of the old one is not taken for it.
     changed = fit / "fit.h5"
@@ -245,7 +245,7 @@ def test_leaving_drops_out_predicts_them(fit):
     # The right model, but two drops to fit it: what they leave open adds to the noise.
     assert 0.9 < found.ratio < 2.0
     # Eight parameters and fourteen stated values, of which the slope of the left-out drop is as stated.
-    assert len(found.trials[0].refit) == 22
+    assert len(found.trials[0].refit) == 23
     assert found.trials[0].refit["slope[drop-1]"] == math.radians(5)
 
 
