@@ -89,3 +89,9 @@ def in_this_process(monkeypatch):
     from sysid.loaders import isolation, registry
 
     monkeypatch.setattr(registry, "isolated", isolation.read_here)
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave the pictures of pages empty: drawing them takes seconds in tests of something else."""
+    monkeypatch.setattr("sysid.report.html.figure_bytes", lambda *drawn: b"<svg/>")

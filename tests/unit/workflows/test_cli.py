@@ -165,6 +165,7 @@ def test_an_unfinished_fit_ends_with_code_3_where_that_is_asked_for(drops, run):
     assert run(*fit, "--force", "--strict")[0] == 3
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_fit_of_a_wrong_slope_names_the_cause_and_offers_what_mends_it(drops, run):
     """The board of drop-4 shows 20 deg; the centre of mass is 3 mm, not -9 mm, from the pivot."""
     edit(drops / "campaign.toml", '"20 deg"', '"25 deg"')
