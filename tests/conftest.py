@@ -95,3 +95,9 @@ def in_this_process(monkeypatch):
 def undrawn(monkeypatch):
     """Leave the pictures of pages empty: drawing them takes seconds in tests of something else."""
     monkeypatch.setattr("sysid.report.html.figure_bytes", lambda *drawn: b"<svg/>")
+
+
+@pytest.fixture
+def unranked(monkeypatch):
+    """Let a check rank no recordings to make next, which takes most of its time."""
+    monkeypatch.setattr("sysid.workflows.check.rank_candidates", lambda *asked: [])

@@ -168,7 +168,7 @@ def checked(bench: Path) -> CheckDocument:
 
 
 def test_a_stated_range_of_kv_widens_what_is_known_of_the_resistance(
-    bench: Path, checked: CheckDocument
+    bench: Path, checked: CheckDocument, unranked: None
 ) -> None:
     wide = 'measured = { back_emf_constant = ["0.00985 V·s/rad", "0.01005 V·s/rad"] }'
     ranged = _edited(bench, bench.with_name("ranged.toml"), "[fit]", f"[parameters]\n{wide}\n\n[fit]")

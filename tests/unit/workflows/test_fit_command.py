@@ -32,7 +32,7 @@ SMALL = ("--no-trust", *SEARCH, "--quiet")
 
 @pytest.fixture
 def campaign(drops):
-    """The sample campaign of its first two drops: what ends and continues a fit does not ask for their number."""
+    """The sample campaign with two drops: to end and to continue a fit takes no more."""
     path = drops / "campaign.toml"
     path.write_text(
         "[[trials]]".join(path.read_text(encoding="utf-8").split("[[trials]]")[:3]), encoding="utf-8"
