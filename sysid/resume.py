@@ -68,6 +68,9 @@ class BlockStore:
         # Held while a block is written: a thread that still ends after another one has failed must not write
         # into a folder that `close` removes.
         self._writing = threading.Lock()
+        # Checked before the lock is made, too: a refused command leaves the folder as it was.
+        if not in_use(self.folder):
+            self._check(resume, force)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             self._closed = False
@@ -80,10 +83,8 @@ class BlockStore:
                 f"{self.folder}: cannot be made ({error.strerror or error}); choose another place with --out"
             ) from error
         try:
-            self._check_states(self.result, resume, force)
-            if resume:
-                self.take_up()
-            else:
+            self._check(resume, force)
+            if not resume:
                 self._remove_states()
                 identity_text = exact_json.dumps(self.identity).encode("utf-8")
                 write_file(self.folder / self._FILE, identity_text, self.ERROR)
@@ -98,6 +99,11 @@ class BlockStore:
         if in_use(cls.folder_of(result)):
             raise cls.ERROR(cls._running(result))
         cls._check_states(result, resume, force)
+
+    def _check(self, resume: bool, force: bool) -> None:
+        self._check_states(self.result, resume, force)
+        if resume:
+            self.take_up()
 
     @classmethod
     def _check_states(cls, result: str | Path, resume: bool, force: bool) -> None:

@@ -89,3 +89,15 @@ def in_this_process(monkeypatch):
     from sysid.loaders import isolation, registry
 
     monkeypatch.setattr(registry, "isolated", isolation.read_here)
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave the pictures of pages empty: drawing them takes seconds in tests of something else."""
+    monkeypatch.setattr("sysid.report.html.figure_bytes", lambda *drawn: b"<svg/>")
+
+
+@pytest.fixture
+def unranked(monkeypatch):
+    """Let a check rank no recordings to make next, which takes most of its time."""
+    monkeypatch.setattr("sysid.workflows.check.rank_candidates", lambda *asked: [])

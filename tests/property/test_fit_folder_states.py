@@ -220,7 +220,7 @@ def bench(lab, examples, steps):
 
 
 @pytest.fixture
-def lab(tmp_path, run, monkeypatch):
+def lab(tmp_path, run, monkeypatch, undrawn):
     return Lab(tmp_path, run, monkeypatch)
 
 

@@ -2,15 +2,18 @@
 
 import struct
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.io import savemat
 
 from fakes.log_files import assert_turns, c3d, examples, quaternions_of, refuses, ros_recording, small_turns
+from fakes.log_files import tdms as write_tdms
 from sysid.loaders import load
 
-SETTINGS = examples(20)
+SETTINGS, MORE = examples(20), examples(30)
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -167,3 +170,66 @@ def test_ros_recordings(tmp_path_factory, seed, form, kind, names):
             np.testing.assert_allclose(log[f"{body}/position"].time, stated, rtol=0, atol=STAMP)
             np.testing.assert_array_equal(log[f"{body}/position"].values, position)
             assert_turns(log[f"{body}/orientation"], quaternions, lost[name], 1e-12)
+
+
+@MORE
+@given(SEEDS, st.sampled_from(["5", "7.3"]), st.sampled_from(["vectors", "struct", "matrix"]))
+def test_mat(tmp_path, seed, version, form):
+    random = np.random.default_rng(seed)
+    count = int(random.integers(2, 40))
+    thrust, torque = random.normal(size=(2, count))
+    options = {"units": {"thrust": "N", "torque": "N*m"}}
+    if form == "vectors":
+        content = {"Fz": thrust, "Mz": torque, "fs": 5000.0}
+    elif form == "struct":
+        cells = {"Fz": {"data": thrust, "unit": "kN"}, "Mz": {"data": torque, "unit": "Nm"}, "rate": 5e3}
+        content, options, thrust = {"cell": cells}, {}, 1000 * thrust
+    else:
+        content = {"FT": np.column_stack([thrust, torque])}
+        options |= {"rate": 5000, "datasets": {"thrust": "FT[1]", "torque": "FT[2]"}}
+    path = tmp_path / "log.bin"
+    if version == "5":
+        savemat(path, content)
+    else:
+        path.unlink(missing_ok=True)
+        with h5py.File(path, "w", userblock_size=512) as file:
+            write_mat73(file, content)
+        block = path.read_bytes()
+        path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + block[512:])
+    log = load(path, **options)
+    assert log.provenance.format == "mat"
+    np.testing.assert_allclose(log["thrust"].values, thrust, rtol=1e-15)
+    np.testing.assert_array_equal(log["torque"].values, torque)
+    np.testing.assert_allclose(log["thrust"].time, np.arange(count) / 5000, rtol=1e-14)
+
+
+def write_mat73(group, content):
+    """Lay content out as MATLAB does: columns first, text as codes, a class on each dataset."""
+    for name, value in content.items():
+        if isinstance(value, dict):
+            write_mat73(group.create_group(name), value)
+            continue
+        text = isinstance(value, str)
+        array = np.array([[ord(c)] for c in value], dtype=np.uint16) if text else np.atleast_2d(value)
+        array = array if text or array.shape[0] == 1 else array.T
+        group.create_dataset(name, data=array).attrs["MATLAB_class"] = np.bytes_("char" if text else "double")
+
+
+@MORE
+@given(SEEDS, st.booleans())
+def test_tdms(tmp_path, seed, big):
+    random = np.random.default_rng(seed)
+    count = int(random.integers(1, 50))
+    thrust = random.normal(size=count)
+    step = float(random.choice([1e-4, 0.001]))
+    stated = {"wf_increment": step, "wf_start_offset": 0.25, "wf_samples": 7, "unit_string": "Newtons"}
+    channels = [
+        ("ft / raw", "Fz", thrust.astype("f4" if big else "f8"), stated),
+        ("ft - Decimated Data_Level1", "Fz", thrust[:1], stated),
+        ("other", "First  Channel", thrust, {"wf_increment": 2 * step}),
+    ]
+    log = load(write_tdms(tmp_path / "log.bin", channels))
+    assert log.kind == "load-cell"
+    np.testing.assert_array_equal(log["thrust"].values, thrust.astype("f4" if big else "f8").astype(float))
+    np.testing.assert_allclose(log["thrust"].time, 0.25 + np.arange(count) * step, rtol=1e-12)
+    np.testing.assert_allclose(log["First Channel"].time, np.arange(count) * 2 * step, atol=1e-15)

@@ -14,6 +14,7 @@ from sysid.fit.trial import nrmse_of
 from sysid.report.trust_tables import validation_table
 from sysid.synthetic import read_truth
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
+from sysid.trust.documents import CheckDocument
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
 from sysid.workflows.fit import fit_motor
@@ -161,10 +162,17 @@ def test_trust_on_a_motor_holds_the_truth_and_says_what_it_takes_as_known(fit: P
     assert any("two trials" in one for one in found.notes)
 
 
-def test_a_stated_range_of_kv_widens_what_is_known_of_the_resistance(bench: Path) -> None:
+@pytest.fixture(scope="module")
+def checked(bench: Path) -> CheckDocument:
+    return check_campaign(bench)
+
+
+def test_a_stated_range_of_kv_widens_what_is_known_of_the_resistance(
+    bench: Path, checked: CheckDocument, unranked: None
+) -> None:
     wide = 'measured = { back_emf_constant = ["0.00985 V·s/rad", "0.01005 V·s/rad"] }'
     ranged = _edited(bench, bench.with_name("ranged.toml"), "[fit]", f"[parameters]\n{wide}\n\n[fit]")
-    found = [check_campaign(path) for path in (bench, ranged)]
+    found = (checked, check_campaign(ranged))
     narrow, wide_one = (
         next(row for row in one.parameters if row.name == "winding_resistance").half_width for one in found
     )
@@ -173,8 +181,8 @@ def test_a_stated_range_of_kv_widens_what_is_known_of_the_resistance(bench: Path
     assert wide_one == pytest.approx(0.023, rel=0.25)
 
 
-def test_check_on_a_motor_says_what_to_record_next(bench: Path) -> None:
-    found = check_campaign(bench)
+def test_check_on_a_motor_says_what_to_record_next(checked: CheckDocument) -> None:
+    found = checked
     rows = {row.name: row for row in found.parameters}
     assert rows["viscous_damping"].verdict == "not_identifiable"
     assert rows["winding_resistance"].verdict == "well"

@@ -216,10 +216,12 @@ def test_a_checkpoint_of_the_former_version_is_refused(tmp_path):
 def test_refused_when_anything_differs(tmp_path, change, words):
     interrupted(tmp_path / "fit", 20)
     folder = Checkpoint.folder_of(tmp_path / "fit")
-    before = sorted((p.name, p.stat().st_size) for p in folder.iterdir())
-    with pytest.raises(FitError, match=words):
-        Checkpoint(tmp_path / "fit", {**IDENTITY, **change}, resume=True)
-    assert sorted((p.name, p.stat().st_size) for p in folder.iterdir()) == before
+    for _ in ("with its lock", "without"):
+        before = sorted((p.name, p.stat().st_size) for p in folder.iterdir())
+        with pytest.raises(FitError, match=words):
+            Checkpoint(tmp_path / "fit", {**IDENTITY, **change}, resume=True)
+        assert sorted((p.name, p.stat().st_size) for p in folder.iterdir()) == before
+        (folder / "lock").unlink(missing_ok=True)
 
 
 def test_on_another_processor_a_fit_goes_on_and_says_so(tmp_path, whole):

@@ -123,7 +123,8 @@ print(json.dumps(peak))
 """
 
 
-@pytest.mark.parametrize("surface", ["lf", "hf"])
+# High friction takes more memory, so that the other law is looked at in the slow suite.
+@pytest.mark.parametrize("surface", [pytest.param("lf", marks=pytest.mark.slow), "hf"])
 def test_a_fit_takes_little_memory(surface, tmp_path):
     prepare(surface)
     campaign = str(SAMPLES / f"gear-{surface}" / "campaign.toml")

@@ -141,15 +141,20 @@ def test_a_c3d_that_promises_more_frames_than_bytes_reads_what_is_there(tmp_path
     assert 20 <= len(log["quad:0/position"].values) < 31
 
 
+@pytest.fixture(scope="module")
+def worker():
+    with Worker() as process:
+        yield process
+
+
 @pytest.mark.parametrize("filling", [b"9", b",", b'"', b"a", b" "])
-def test_a_line_of_50_mb_is_refused_before_it_takes_memory(tmp_path, filling):
+def test_a_line_of_50_mb_is_refused_before_it_takes_memory(worker, tmp_path, filling):
     head = b"Time (s),Command (us),Speed (rad/s),Fz (N)\n"
     path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
     whole.write_bytes(head + b"".join(b"%d,2,3,4\n" % i for i in range(20)))
     path.write_bytes(whole.read_bytes() + filling * 50_000_000 + b"\n")
-    with Worker() as worker:
-        # The worker's limit of 20 times the file is 1 GB.
-        answer = worker.outcome(path, whole, "load-cell-csv", {}, 1)
+    # The worker's limit of 20 times the file is 1 GB.
+    answer = worker.outcome(path, whole, "load-cell-csv", {}, 1)
     assert answer["outcome"] == "refused"
     assert "line 22: 50 MB without a line end" in answer["what"]
 

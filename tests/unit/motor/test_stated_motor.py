@@ -91,6 +91,7 @@ def test_what_was_measured_moves(path):
     assert not problem_of(*bench_of(exact)).space.stated
 
 
+@pytest.mark.usefixtures("unranked")
 def test_check_says_whose_error_decides(path):
     heard = []
     found = check_campaign(unstated(path), say=heard.append, details=True)

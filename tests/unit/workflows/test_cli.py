@@ -51,11 +51,13 @@ def body_columns(lines, first):
 
 
 SMALL = ("--no-trust", "--population", "16", "--runs", "2", "--max-generations", "2", "--quiet")
+# Where a fit need not reach its optimum.
+COARSE = ("--finish", "none", *SMALL)
 
 
 def test_fit_gear_show_export_and_read_back(drops, run, tmp_path, refused):
     campaign = drops / "campaign.toml"
-    code, out, err = run("fit-gear", campaign, *SMALL)
+    code, out, err = run("fit-gear", campaign, *COARSE)
     assert (code, out) == (0, ""), err
     folder = Path("fits") / "synthetic-lf"
     assert {p.name for p in folder.iterdir()} == {"fit.h5", "fit.json", "summary.txt"}
@@ -75,9 +77,9 @@ def test_fit_gear_show_export_and_read_back(drops, run, tmp_path, refused):
         assert sysid.load_parameter_sets(f"sets.{suffix}") == first
 
     # A fit that exists is not overwritten unless asked.
-    refused(["exists", "--force"], "fit-gear", campaign, *SMALL)
+    refused(["exists", "--force"], "fit-gear", campaign, *COARSE)
     refused(["exists already"], "export", folder, "--out", "sets.json")
-    assert run("fit-gear", campaign, *SMALL, "--force")[0] == 0
+    assert run("fit-gear", campaign, *COARSE, "--force")[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -158,16 +160,17 @@ def test_a_flagged_prediction_ends_with_code_3(verb, monkeypatch, tmp_path, run)
 
 def test_an_unfinished_fit_ends_with_code_3_where_that_is_asked_for(drops, run):
     """A run that its generations end is unfinished; without --strict its exit code is 0."""
-    fit = ("fit-gear", drops, *SMALL, "--finish", "none", "--no-check", "--no-trust")
+    fit = ("fit-gear", drops, *COARSE, "--no-check")
     assert run(*fit)[0] == 0
     assert run(*fit, "--force", "--strict")[0] == 3
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_fit_of_a_wrong_slope_names_the_cause_and_offers_what_mends_it(drops, run):
     """The board of drop-4 shows 20 deg; the centre of mass is 3 mm, not -9 mm, from the pivot."""
     edit(drops / "campaign.toml", '"20 deg"', '"25 deg"')
     edit(drops / "campaign.toml", '"3 mm"]', '"-9 mm"]')
-    code, out, err = run("fit-gear", drops, *SMALL[:-1], "--no-check")
+    code, out, err = run("fit-gear", drops, *COARSE[:-1], "--no-check")
     assert code == 0
     cause = "drop-4: the campaign states slope = 25.0 deg, the log shows 20.0 deg from markers"
     mass = "off the stated centre of mass"
@@ -396,7 +399,7 @@ def test_rotation_out_of_the_plane_is_a_warning_with_the_trials_name(drops, trut
         return lines
 
     rewrite(drops / FIRST, roll)
-    code, _, err = run("fit-gear", drops / "campaign.toml", *SMALL[:-1])
+    code, _, err = run("fit-gear", drops / "campaign.toml", *COARSE[:-1])
     assert code == 0
     assert re.search(r"warning: (trial ')?drop-1'?: roll reaches 1[4-6] deg", err)
 
@@ -420,7 +423,7 @@ def test_a_full_disk_during_a_fit_is_one_sentence(drops, tmp_path):
     if mounted.returncode:
         pytest.skip(f"cannot mount a small file system here: {mounted.stderr.decode().strip()}")
     try:
-        command = [sys.executable, "-m", "sysid", "fit-gear", str(drops / "campaign.toml"), *SMALL]
+        command = [sys.executable, "-m", "sysid", "fit-gear", str(drops / "campaign.toml"), *COARSE]
         done = subprocess.run(
             [*command, "--out", str(small / "f")],
             capture_output=True, text=True, encoding="utf-8", check=False,

@@ -236,6 +236,7 @@ def test_a_simpler_model_that_predicts_as_well_takes_belief_from_what_it_lacks(m
     assert conclusion(document.model_copy(update={"simpler": [needed]})) == before
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("kind", ["gear", "motor"])
 def test_a_report_shows_the_ladder_and_takes_it_for_no_validation(kind, tmp_path, run):
     folder = tmp_path / "fit"

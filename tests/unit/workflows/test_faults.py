@@ -137,7 +137,7 @@ def texts(out):
 def test_every_write_of_a_fit_with_intervals_may_fail(campaign, tmp_path, monkeypatch, kind):
     """After each fault there is no fit or all of it with its intervals, and --resume gives all."""
     path = campaign[0]
-    search = {"quiet": True, "check": False}
+    search = {"quiet": True, "check": False, "threads": 1}
     fit_campaign(path, FitOptions(out=tmp_path / "whole", **search))
     complete = texts(tmp_path / "whole")
     out = tmp_path / "fit"

@@ -123,6 +123,7 @@ def test_ctrl_c_after_the_search_keeps_it_and_resume_does_the_rest(campaign, mon
     # The intervals of the gear take two minutes.
     [("motor", True), ("gear-lf", False), pytest.param("gear-lf", True, marks=pytest.mark.slow)],
 )
+@pytest.mark.usefixtures("undrawn")
 def test_a_fit_opens_each_log_once_and_its_report_once_more(kind, trust, tmp_path, monkeypatch):
     opened = Counter()
 

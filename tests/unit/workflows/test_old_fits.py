@@ -92,6 +92,7 @@ def older(fit, target, change):
     return target
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("name", CHANGES)
 def test_every_reading_command_opens_or_refuses_it(lag, tmp_path, run, name):
     path, fit = lag

@@ -90,6 +90,7 @@ def test_options_of_another_kind_are_refused_in_a_short_sentence(gear, motor):
         assert len(str(refusal.value)) < 1500
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("module", [api, api_landing, api_model, errors, parameter_sets, testing])
 def test_every_example_of_the_documentation_runs(tmp_path, monkeypatch, module):
     monkeypatch.chdir(tmp_path)
