@@ -45,8 +45,9 @@ _EARLY_LATE = (-0.006, 0.035)
 # Distance [m] of the surface from where free fall ends from which on a drop is doubted, the largest one that
 # leaves no doubt of another campaign, and the difference of two such distances that tells nothing.
 _OUT_OF_PLACE, _IN_PLACE, _AS_NEAR = 0.006, 0.012, 0.002
-# Time before the touchdown as stated in which a foot of a misstated drop may touch already [s].
-_BEFORE = 0.03
+# Time before the touchdown as stated in which a foot of a misstated drop may touch already, and time after
+# the hold that shows a fall [s].
+_BEFORE, _SHOWS_FALL = 0.15, 0.06
 # Keys of the mistakes that a fit can find out.
 _HEIGHT, _SLOPES = {"foot_dz"}, {"slope"}
 # Shortest fall that tells about g [s]: five samples determine it to some 10 %.
@@ -291,9 +292,11 @@ class _Preparation:
         self.motion = planar_motion(motion, point, level)
         flight = partial(fit_flight, self.motion, self.feet, hold, gravity, self.where, levels)
         fitted, self.touchdown = flight()
-        if fitted.held and self.touchdown > fitted.start + 2 * _BEFORE:
+        held_until = float(self.motion.time[max(hold.stop, 1) - 1])
+        early = max(self.touchdown - _BEFORE, held_until + _SHOWS_FALL)
+        if fitted.held and early < self.touchdown:
             # A surface that is stated too low lets the contact pass for free fall, which shows without it.
-            self.flight, _ = flight(end=self.touchdown - _BEFORE)
+            self.flight, _ = flight(end=early)
             late = self._leaves_free_fall() - self.touchdown - _YIELDING
             if late * self.flight.at(np.array([self.touchdown]))[0, 4] > _OUT_OF_PLACE:
                 fitted, self.touchdown = flight(end=self.touchdown + late)
@@ -498,7 +501,7 @@ class _Preparation:
     def _leaves_free_fall(self) -> float:
         """Return when the height or pitch first leaves the flight model for good [s]."""
         motion, flight = self.motion, self.flight
-        near = (motion.time > self.touchdown - 0.1) & (motion.time < self.touchdown + 0.1) & motion.valid
+        near = (motion.time > self.touchdown - _BEFORE) & (motion.time < self.touchdown + 0.1) & motion.valid
         error = np.abs(motion.coordinates()[near] - flight.at(motion.time[near])[:, :3])
         limit = np.maximum(6 * flight.noise, [np.inf, 1e-3, 0.01])
         away = np.asarray((error[:, 1:] > limit[1:]).any(axis=1))

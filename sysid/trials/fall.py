@@ -215,6 +215,12 @@ def _fit(
         # A magnet releases a body at rest, so a rate counts only if it is three times its error.
         if abs(solution[1]) > 3 * sigma:
             origin[column], rates[column] = solution
+            # Along axes that lean, a body at rest falls sideways with the square of the time.
+            leaning = np.column_stack([np.ones_like(elapsed), elapsed**2])
+            square, *_ = np.linalg.lstsq(leaning, values, rcond=None)
+            spread = float(np.std(values - leaning @ square))
+            if column == 0 and spread < noise[0]:
+                origin[0], rates[0], noise[0] = square[0], 0.0, spread
         else:
             origin[column] = 0.0 if level and column == 2 else values.mean()
     measured = float("nan")
