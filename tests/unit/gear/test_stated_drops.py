@@ -227,3 +227,16 @@ def test_board_markers_and_a_rest_log_state_height_and_slope(tmp_path):
     path.write_text(text, encoding="utf-8")
     stated = gear_space(read_campaign(path, "gear")).stated
     assert stated["surface_dz"].error == pytest.approx(math.sqrt(2) * 1e-3)
+
+
+@pytest.mark.parametrize("wrong", [{"slope[1]": -14.0}, {"tilt": 20.0}])
+def test_a_wrong_slope_or_tilt_does_not_bend_how_a_drop_starts(tmp_path, wrong):
+    high = (DropPlan(math.radians(15), 1.0),)
+    path = synthesize_gear(tmp_path / "drop", seed=3, drops=high) / "campaign.toml"
+    (right,), (other,) = opened(path).drops, shifted(path, "wrong", **wrong).drops
+    # The log shows 35 ms of contact before this surface, or a fall that leans by 2 deg.
+    assert abs(other.touchdown - right.touchdown) > 5e-3
+    assert other.flight.start == pytest.approx(right.flight.start, abs=1e-3)
+    assert other.flight.noise == pytest.approx(right.flight.noise, rel=0.2)
+    # A magnet releases a body at rest.
+    assert not other.flight.state[3:].any()
