@@ -672,9 +672,9 @@ def explain(
 ) -> Judgement[ExplainDocument]:  # fmt: skip
     """Say what a fit's campaign states wrongly, and which physics its model lacks, as ``sysid explain`` does.
 
-    Tries stated values and single trials first. To what they leave it adds each declared term, finds those to
-    keep among all together, and judges them on trials left out. ``document.parameters`` are those to free in
-    a campaign. Raises SysidError for a kind without terms, and for too few fitted trials.
+    Tries stated values, exchanges and single trials first. To what they leave it adds each declared term,
+    finds those to keep among all together, and judges them on trials left out. ``document.parameters`` are
+    those to free in a campaign. Raises SysidError for a kind without terms, and for too few fitted trials.
     """
     path = None if campaign is None else campaign_path(campaign)
     options = python_options(TrustOptions, {**locals(), "campaign": path})

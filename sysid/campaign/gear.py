@@ -37,6 +37,12 @@ def _slope_on_earth(value: float) -> float:
     return value
 
 
+def _nearly_level(value: float) -> float:
+    if abs(value) > math.radians(10):
+        raise ValueError(f"a tilt of {math.degrees(value):g} deg is beyond 10 deg; up names another axis")
+    return value
+
+
 # Standard error of a slope that states none.
 SLOPE_ERROR = "0.2 deg"
 Slope = Annotated[
@@ -68,9 +74,11 @@ class Capture(CaptureLogOptions):  # type: ignore[misc]
     # An offset that is left out is stated to be 0, with the typical error.
     centre_of_mass_offset: Point = Field(default=("0 m",) * 3, validate_default=True)
     # Angle by which what the capture calls up leans down-slope.
-    tilt: Annotated[float, Measured("rad", "0.1 deg", "spirit level on the calibration square")] = Field(
-        default="0 deg", validate_default=True
-    )
+    tilt: Annotated[
+        float,
+        AfterValidator(_nearly_level),
+        Measured("rad", "0.1 deg", "spirit level on the calibration square"),
+    ] = Field(default="0 deg", validate_default=True)
     level: Literal["release", "capture"] = "release"
 
     @model_validator(mode="after")

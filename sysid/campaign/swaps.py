@@ -54,7 +54,8 @@ class Swap:
                 elif place[-1] in node:
                     del node[place[-1]]
         for place in self.negated:
-            node, text = _parent(document, place), str(_parent(document, place)[place[-1]])
+            node = _parent(document, place)
+            text = str(node[place[-1]]).strip().removeprefix("+")
             node[place[-1]] = text[1:] if text.startswith("-") else f"-{text}"
 
 

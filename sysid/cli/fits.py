@@ -198,8 +198,8 @@ def explain(
 ) -> None:
     """Say what a campaign states wrongly, or a model lacks.
 
-    Tries stated values and single trials first. To what they leave it adds each declared term, finds those to
-    keep among all together, and judges them on trials left out.
+    Tries stated values, exchanges and single trials first. To what they leave it adds each declared term,
+    finds those to keep among all together, and judges them on trials left out.
     """
     from sysid.workflows.explain import explain_and_print
 

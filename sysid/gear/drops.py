@@ -20,12 +20,11 @@ from sysid.errors import LogError, SysidError
 from sysid.filters import KaiserLowpass, Spectrum, amplitude_spectrum, bridge_gaps, differentiate, runs
 from sysid.fit.nrmse import CostChannel, TrialTarget
 from sysid.gear.model import parameters_on
-from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle, notice_slope
+from sysid.gear.plausible import capture_frame, notice_contradictions, notice_odd_vehicle, notice_slope
 from sysid.gear.swaps import swaps, wrong_heights
 from sysid.journal import Finding, Journal, hear, note, notice
 from sysid.recording import Recording
 from sysid.trials.capture import (
-    CaptureFrame,
     PlanarMotion,
     SpatialMotion,
     held_level,
@@ -279,7 +278,7 @@ class _Preparation:
         self.campaign, self.trial, self.recording, self.rest = campaign, trial, recording, rest
         self.where = f"{recording.provenance.path}, trial {trial.name!r}"
         capture = campaign.capture
-        self.frame = CaptureFrame(capture.up, trial.down_slope or capture.down_slope, capture.tilt)
+        self.frame = capture_frame(campaign, trial)
         motion = self._spatial(recording, trial.rigid_body or trial.log_options.rigid_body)
         self.notes = [*recording.provenance.notes, *motion.notes]
         slope, point = self._surface()
@@ -293,17 +292,19 @@ class _Preparation:
         flight = partial(fit_flight, self.motion, self.feet, hold, gravity, self.where, levels)
         fitted, self.touchdown = flight()
         held_until = float(self.motion.time[max(hold.stop, 1) - 1])
+        end = np.inf
         early = max(self.touchdown - _BEFORE, held_until + _SHOWS_FALL)
         if fitted.held and early < self.touchdown:
             # A surface that is stated too low lets the contact pass for free fall, which shows without it.
             self.flight, _ = flight(end=early)
             late = self._leaves_free_fall() - self.touchdown - _YIELDING
             if late * self.flight.at(np.array([self.touchdown]))[0, 4] > _OUT_OF_PLACE:
-                fitted, self.touchdown = flight(end=self.touchdown + late)
+                end = self.touchdown + late
+                fitted, self.touchdown = flight(end=end)
         self.flight, touchdown = fitted, self.touchdown
         self.touchdown = touchdown if trial.touchdown is None else trial.touchdown
         self.at_touchdown = self.flight.at(np.array([self.touchdown]))[0]
-        in_air = slice(hold.start, int(np.searchsorted(motion.time, touchdown)))
+        in_air = slice(hold.start, int(np.searchsorted(motion.time, min(touchdown, end))))
         self.attitude = held_level(motion, in_air) @ self.frame.matrix.T
         self.lowpass = lowpass_of(campaign, self.motion.rate)
         # Samples that filter and difference need on both sides of the window.

@@ -7,6 +7,7 @@ import numpy as np
 from sysid.campaign import GearCampaign, GearTrial
 from sysid.errors import CampaignError
 from sysid.journal import notice
+from sysid.trials.capture import CaptureFrame, signed_axis
 from sysid.trials.look import DropReport
 
 # Largest difference of two slopes that is no contradiction [rad], by markers: an inclinometer and three
@@ -39,7 +40,8 @@ def notice_contradictions(campaign: GearCampaign, trial: GearTrial, seen: DropRe
     if seen is None:
         return
     if trial.slope is not None and seen.slope is not None:
-        notice_slope(trial.name, trial.slope, seen.slope, seen.slope_by_markers)
+        shown = seen.slope + (capture_frame(campaign, trial).tilt if seen.slope_by_markers else 0.0)
+        notice_slope(trial.name, trial.slope, shown, seen.slope_by_markers)
     capture = campaign.capture
     if seen.up != capture.up:
         _notice(trial.name, "up", f'"{capture.up}"', f'"{seen.up}"')
@@ -50,6 +52,14 @@ def notice_contradictions(campaign: GearCampaign, trial: GearTrial, seen: DropRe
     body = trial.rigid_body or trial.log_options.rigid_body or capture.rigid_body
     if body not in (None, seen.body):
         _notice(trial.name, "rigid-body", f'"{body}"', f'that "{seen.body}" falls')
+
+
+def capture_frame(campaign: GearCampaign, trial: GearTrial) -> CaptureFrame:
+    """Return the axes in which a drop was captured; their tilt is stated along the campaign's down_slope."""
+    capture = campaign.capture
+    down_slope = trial.down_slope or capture.down_slope
+    along = float(signed_axis(down_slope) @ signed_axis(capture.down_slope))
+    return CaptureFrame(capture.up, down_slope, along * capture.tilt)
 
 
 def notice_slope(trial: str, stated: float, shown: float, by_markers: bool = True) -> None:

@@ -64,13 +64,20 @@ def with_stated(
 
 
 def without_mistake(space: SearchSpace, campaign: GearCampaign, swap: Swap) -> SearchSpace:
-    """Return the space in which the stated values are those of a campaign without a mistake."""
-    right, table = swap.undone(campaign), space.table
-    stated = dict(_of_the_model(right, table))
-    stated |= {row.name: value for row, value in _of_the_capture(right, {}, campaign)}
-    return space.restating(
-        {name: value for name, value in stated.items() if space.stated.get(name, value) != value}
+    """Return the space in which the stated values are those of a campaign without a mistake.
+
+    It is the same space where a part of the mistake is exact, or moves nothing.
+    """
+    before, after = (
+        dict(_of_the_model(one, space.table))
+        | {row.name: value for row, value in _of_the_capture(one, {}, campaign)}
+        for one in (campaign, swap.undone(campaign))
     )
+    moved = {name: value for name, value in after.items() if value != before[name]}
+    # What is exact does not move, so that only a part of the mistake would be undone.
+    if not all(error_of(value) > 0 < error_of(before[name]) for name, value in moved.items()):
+        return space
+    return space.restating({name: value for name, value in moved.items() if name in space.stated})
 
 
 def _of_the_model(campaign: GearCampaign, table: ParameterTable) -> Iterator[tuple[str, Stated]]:
@@ -99,7 +106,8 @@ def _of_the_capture(
     for trial in fitted:
         slope = trial.slope
         if slope is None and trial.name in slopes and not exact:
-            error = typical_error(_BOARD_ERROR, 0.0, "rad")
+            # Markers show it along the capture's axes.
+            error = float(np.hypot(typical_error(_BOARD_ERROR, 0.0, "rad"), error_of(campaign.capture.tilt)))
             slope = Stated(slopes[trial.name], error, _BOARD_ERROR)
         if slope is not None:
             row = replace(SLOPE.of_trial(trial.name), nominal=float(slope))
@@ -115,7 +123,7 @@ def _of_the_capture(
         yield TILT, _with_error(0.0, of=campaign.capture.tilt)
         if surface.point is not None and any(trial.point is None for trial in fitted):
             yield from zip(SURFACE, _in_plane(surface.point, frame, prepared.surface.point), strict=True)
-    if surface.markers is not None:
+    if surface.markers is not None and any(trial.point is None for trial in fitted):
         yield SURFACE[1], _with_error(0.0, of=surface.marker_height)
     if surface.rest_log is not None and not exact:
         # The body that rests on the surface shows where its feet are.

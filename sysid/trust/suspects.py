@@ -128,10 +128,12 @@ def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: floa
     """
     space = problem.space
     at = dict(zip(space.names, space.decode(linear.point[None])[0].tolist(), strict=True))
+    pulls = space.pulls(space.full(linear.point[None]))[0]
+    pulled = {name for name, pull in zip(space.stated, pulls, strict=True) if abs(pull) > 1.0}
     titles, spaces, rows = [], [], []
     for swap, right in problem.mistakes:
         moved = {name: value for name, value in right.stated.items() if value != space.stated[name]}
-        if moved:
+        if moved.keys() & pulled:
             place = np.array([{**at, **moved}[name] for name in right.names])
             titles.append(swap.title)
             spaces.append(right)

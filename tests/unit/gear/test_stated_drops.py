@@ -7,10 +7,15 @@ import shutil
 
 import numpy as np
 import pytest
+import tomlkit
 
 from fakes.lab import misstated
 from sysid.campaign import read_campaign
+from sysid.errors import CampaignError
+from sysid.gear.plausible import capture_frame
 from sysid.gear.problem import gear_space
+from sysid.gear.stated import without_mistake
+from sysid.gear.swaps import swaps
 from sysid.synthetic import DropPlan, synthesize_gear
 from sysid.workflows.kinds import find_kind, open_campaign
 
@@ -218,7 +223,8 @@ def test_board_markers_and_a_rest_log_state_height_and_slope(tmp_path):
     stated = problem.space.stated
     assert (stated["surface_dz"], stated["surface_dz"].error) == (0.0, pytest.approx(0.3e-3))
     assert stated["slope[drop-2]"] == pytest.approx(math.radians(20), abs=math.radians(0.2))
-    assert stated["slope[drop-2]"].error == pytest.approx(math.radians(0.1))
+    # The markers' own error, and that of the axes along which they show it.
+    assert stated["slope[drop-2]"].error == pytest.approx(math.radians(0.1) * math.sqrt(2))
     moved = problem.predict(row_of(problem, surface_dz=1e-3)).signals[0][0]
     assert np.abs(moved - problem.predict(row_of(problem)).signals[0][0]).max() > 5e-4
     assert not opened(path, exact=True).space.stated
@@ -240,3 +246,57 @@ def test_a_wrong_slope_or_tilt_does_not_bend_how_a_drop_starts(tmp_path, wrong):
     assert other.flight.noise == pytest.approx(right.flight.noise, rel=0.2)
     # A magnet releases a body at rest.
     assert not other.flight.state[3:].any()
+
+
+def test_a_mistake_moves_what_is_stated_unless_a_part_of_it_is_exact(exact, tmp_path):
+    problem = opened(misstated(exact, 0, name="mistakes.toml"))
+    moved = {
+        swap.title: {name for name, value in space.stated.items() if value != problem.space.stated[name]}
+        for swap, space in problem.mistakes
+    }
+    assert moved["the slopes (or the logs) of drop-1 and drop-2 exchanged"] == {
+        "slope[drop-1]",
+        "slope[drop-2]",
+    }
+    assert moved["foot_dx and foot_dz exchanged"] == {"foot_dx", "foot_dz"}
+    assert moved["the other sign of centre_of_mass_offset[1]"] == {"centre_of_mass_dz"}
+    text = problem.campaign.source.text
+    path = tmp_path / "drops.toml"
+    path.write_text(re.sub(r'(?m)^(slope = "10) .*$', r'\1 deg exact"', text), encoding="utf-8")
+    campaign = read_campaign(path, "gear")
+    space = gear_space(campaign)
+    assert "slope[drop-1]" not in space.stated
+    for swap in swaps(campaign):
+        if "slopes" in swap.title and "drop-1" in swap.title:
+            assert without_mistake(space, campaign, swap) is space
+
+
+def test_a_mistake_is_undone_in_the_text(exact, tmp_path):
+    text = exact.read_text(encoding="utf-8").replace('"3 mm"]', '"+3 mm"]')
+    path = tmp_path / "drops.toml"
+    path.write_text(text, encoding="utf-8")
+    campaign = read_campaign(path, "gear")
+    (sign,) = (swap for swap in swaps(campaign) if swap.title.endswith("centre_of_mass_offset[2]"))
+    document = tomlkit.parse(text)
+    sign.undo_in(document)
+    assert tomlkit.dumps(document) == text.replace('"+3 mm"]', '"-3 mm"]')
+    path.write_text(tomlkit.dumps(document), encoding="utf-8")
+    assert read_campaign(path, "gear").capture.centre_of_mass_offset[2] == pytest.approx(-3e-3)
+
+
+def test_a_capture_leans_along_the_way_down_of_the_campaign(exact, tmp_path):
+    text = exact.read_text(encoding="utf-8")
+    text = text.replace("level =", 'tilt = "2 deg"\nlevel =', 1)
+    path = tmp_path / "drops.toml"
+    path.write_text(text, encoding="utf-8")
+    campaign = read_campaign(path, "gear")
+    ups = []
+    for way in ("-z", "+z", "+x"):
+        trial = campaign.trials[0].model_copy(update={"down_slope": way})
+        ups.append(capture_frame(campaign, trial).matrix[2])
+    # One laboratory has one up, however a body slides.
+    assert ups[1] == pytest.approx(ups[0])
+    assert ups[2] == pytest.approx([0.0, 1.0, 0.0])
+    path.write_text(text.replace('"2 deg"', '"95 deg"'), encoding="utf-8")
+    with pytest.raises(CampaignError, match="a tilt of 95 deg is beyond 10 deg"):
+        read_campaign(path, "gear")
