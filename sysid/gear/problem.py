@@ -9,6 +9,7 @@ that just reaches the board's end pays nothing.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
@@ -183,6 +184,13 @@ def measured_values(campaign: GearCampaign) -> dict[str, float]:
     for table in (campaign.vehicle, campaign.surface):
         stated |= table.model_dump(exclude_unset=True, exclude_none=True)
     return {name: stated[name] for name in PARAMETERS if name in stated}
+
+
+def _places(text: str) -> list[object]:
+    """Return the places and the tilt that the text of a campaign states."""
+    campaign = tomllib.loads(text)
+    keys = {"capture": ("centre_of_mass_offset", "tilt"), "surface": ("point", "marker_height")}
+    return [campaign.get(table, {}).get(key) for table, names in keys.items() for key in names]
 
 
 @lru_cache(maxsize=8)
@@ -397,9 +405,18 @@ class GearProblem(Problem):
         return CAPTURED
 
     def known(self, fit: FitResult) -> Collection[str]:
-        """Return what the campaign states or fixes; places as stated where no log is one of the fit's."""
+        """Return what the campaign states or fixes.
+
+        Places are as stated where no log is one of the fit's, or the fit's campaign states others: a fit
+        moves them from there.
+        """
         digests = {log.get("sha256") for log in fit.provenance.get("logs", {}).values()}
-        other = CAPTURED if digests.isdisjoint(trial.digest for trial in self.trials) else ()
+        before, source = (
+            fit.provenance.get("campaign", {}).get("text"),
+            getattr(self.campaign, "source", None),
+        )
+        moved = before is not None and source is not None and _places(before) != _places(source.text)
+        other = CAPTURED if moved or digests.isdisjoint(trial.digest for trial in self.trials) else ()
         return {*self.stated, *self.campaign.parameters.fixed, *other}
 
     def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
