@@ -21,9 +21,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+# Folders and files that take longest, in the fast suite or in the slow one.
+_LONG = {
+    "recovery", "golden", "test_readme.py", "test_notebooks.py", "test_mutations.py", "test_faults.py",
+    "test_fit_command.py", "test_fit_motor_command.py", "test_cli.py", "test_python.py",
+    "test_gear_machine.py", "test_order_of_trials.py", "test_motor_real_logs.py", "test_fit_folder_states.py",
+}  # fmt: skip
+
+
 def pytest_collection_modifyitems(items):
-    """Put folders and files first that take minutes, so that two workers that share files end together."""
-    items.sort(key=lambda item: not {"recovery", "test_readme.py", "test_notebooks.py"} & {*item.path.parts})
+    """Put what takes long first, so that two workers that share files end together."""
+    items.sort(key=lambda item: not _LONG & {*item.path.parts})
 
 
 @pytest.fixture
