@@ -225,9 +225,13 @@ class Moved:
     def before(self, drop: PreparedDrop, d: int) -> FloatArray:
         """Return x, z, pitch [m, rad] at the samples before the window of drop d, (n, 3) or (P, n, 3)."""
         lead, delay = len(drop.before), np.nan_to_num(self.delays[:, d])
-        if np.isnan(self.delays[:, d]).any() and not self.tilt.any():
-            return drop.before
         time = drop.time[0] - np.arange(lead, 0, -1) / drop.motion.rate
+        if np.isnan(self.delays[:, d]).any():
+            # Rows without a tilt keep their bits, whatever their neighbours.
+            states = np.repeat(np.pad(drop.before, ((0, 0), (0, 3)))[None], len(delay), axis=0)
+            states[:, :, 4] = drop.flight.at(time)[:, 4]
+            self._fall(states, drop.flight.held)
+            return states[:, :, :3]
         states = drop.flight.at((time - delay[:, None]).ravel()).reshape(len(delay), lead, 6)
         self._fall(states, drop.flight.held)
         return states[:, :, :3]
@@ -271,10 +275,11 @@ class Moved:
         """Change simulated samples (P, n, 6) [SI] of a drop to what the capture would have seen."""
         if not self.levelled[drop]:
             samples[:, :, 2] -= self.tilt[:, None]
-        if self.tilt.any():
+        for p in np.flatnonzero(self.tilt):
+            cos, sin = np.cos(self.tilt[p]), np.sin(self.tilt[p])
             for k in (0, 3):
-                across, up = samples[:, :, k], samples[:, :, k + 1]
-                samples[:, :, k], samples[:, :, k + 1] = self._upright(across, up, -1.0)
+                across, up = samples[p, :, k].copy(), samples[p, :, k + 1].copy()
+                samples[p, :, k], samples[p, :, k + 1] = across * cos - up * sin, up * cos + across * sin
         x, z = self._turned(samples[:, :, 2])
         samples[:, :, 0] -= x - self.surface[:, drop, None, 0]
         samples[:, :, 1] -= z - self.surface[:, drop, None, 1]
