@@ -28,7 +28,8 @@ class Swap:
     @property
     def keys(self) -> set[str | int]:
         """Last keys of the entries that it changes: ``{"slope"}`` where slopes are exchanged."""
-        places = [*(place for pair in self.exchanged for place in pair), *(place for place, _ in self.moved)]
+        exchanged = (place for pair in self.exchanged for place in pair)
+        places = [*exchanged, *self.negated, *(place for place, _ in self.moved)]
         return {place[-1] for place in places}
 
     def undone(self, campaign: Any) -> Any:
@@ -47,12 +48,10 @@ class Swap:
         """Undo exchanges and signs in a campaign as it is written."""
         for one, other in self.exchanged:
             nodes = [_parent(document, place) for place in (one, other)]
-            written = [_written(node, place[-1]) for node, place in zip(nodes, (one, other), strict=True)]
+            # An entry without its comment, which stays where it is.
+            written = [node[place[-1]].unwrap() for node, place in zip(nodes, (one, other), strict=True)]
             for node, place, text in zip(nodes, (one, other), reversed(written), strict=True):
-                if text is not None:
-                    node[place[-1]] = text
-                elif place[-1] in node:
-                    del node[place[-1]]
+                node[place[-1]] = text
         for place in self.negated:
             node = _parent(document, place)
             text = str(node[place[-1]]).strip().removeprefix("+")
@@ -63,13 +62,6 @@ def _parent(node: Any, place: Place) -> Any:
     for key in place[:-1]:
         node = node[key]
     return node
-
-
-def _written(node: Any, key: str | int) -> Any:
-    """Return an entry without its comment, which stays where it is; None where the entry is left out."""
-    if isinstance(key, str) and key not in node:
-        return None
-    return node[key].unwrap()
 
 
 def _at(node: Any, place: Place) -> Any:

@@ -74,7 +74,7 @@ def without_mistake(space: SearchSpace, campaign: GearCampaign, swap: Swap) -> S
         for one in (campaign, swap.undone(campaign))
     )
     moved = {name: value for name, value in after.items() if value != before[name]}
-    # What is exact does not move, so that only a part of the mistake would be undone.
+    # If one of two exchanged values is exact, a fit could move the other one only.
     if not all(error_of(value) > 0 < error_of(before[name]) for name, value in moved.items()):
         return space
     return space.restating({name: value for name, value in moved.items() if name in space.stated})
@@ -126,7 +126,7 @@ def _of_the_capture(
     if surface.markers is not None and any(trial.point is None for trial in fitted):
         yield SURFACE[1], _with_error(0.0, of=surface.marker_height)
     if surface.rest_log is not None and not exact:
-        # The body that rests on the surface shows where its feet are.
+        # The surface is where the feet of the body at rest are, on legs that sag.
         error = float(np.hypot(typical_error(_SAG_ERROR, 0.0, "m"), error_of(campaign.vehicle.foot_dz)))
         yield SURFACE[1], Stated(0.0, error, _SAG_ERROR)
     for trial in fitted:
