@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -136,12 +136,6 @@ class MotorCost(CostTable):
     weights: MotorWeights = MotorWeights()
 
 
-class MotorNuisance(TomlTable):
-    """`[nuisance]`: an offset of each log, estimated and reported."""
-
-    command_delay: Literal["log", "common"] = "log"
-
-
 class MotorTrial(TrialTable):
     """One log of commands: which way it spins, and its window on the log's clock."""
 
@@ -162,9 +156,16 @@ class MotorCampaign(CampaignTable):
     log: BenchLogs = BenchLogs()
     filter: ChebyshevFilter = ChebyshevFilter()
     cost: MotorCost = MotorCost()
-    nuisance: MotorNuisance = MotorNuisance()
     fit: FitTable = FitTable()
     trials: tuple[MotorTrial, ...]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _every_log_has_a_delay(cls, data: Any) -> Any:
+        # Earlier campaigns stated that, and could choose a common delay.
+        if isinstance(data, dict) and data.get("nuisance") == {"command_delay": "log"}:
+            data = {key: value for key, value in data.items() if key != "nuisance"}
+        return data
 
     @model_validator(mode="after")
     def _bidirectional_needs_neutral(self) -> MotorCampaign:

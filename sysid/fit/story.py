@@ -44,8 +44,6 @@ class ReadTrial:
 class Story(Generic[P]):
     """Answers about the trials of a problem; a model replaces those for which it knows more than these."""
 
-    # Quantities that trust counts as uncertain besides the noise.
-    known_words: str = ""
     # A quantity as a campaign states it with its error.
     stated_example: str = "1.24 kg ± 2 g"
 
@@ -123,10 +121,6 @@ class Story(Generic[P]):
         return []
 
     # --- trust, report and validation -----------------------------------------------------------------------
-
-    def given(self) -> Mapping[str, str]:
-        """Return what the intervals take as exact, by the parameter whose range would count."""
-        return {}
 
     def floor(self, row: FloatArray) -> FloatArray:
         """Return `Problem.floors` (T, C) [channel units] at a row (n_table,) [SI]; NaN where not known."""

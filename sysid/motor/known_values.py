@@ -381,8 +381,7 @@ def motor_space(campaign: MotorCampaign, bench: Bench) -> SearchSpace:
     values = {n: value for n, value in bench.values.items() if n not in chosen or n in bench.measured}
     table = parameters_of({**bench.values, **choices.fixed_values(PARAMETERS)})
     space = choices.search_space(table, FREE_DEFAULT, values)
-    if campaign.nuisance.command_delay == "log":
-        space = with_log_delays(space, bench.fitted, bench.banded)
+    space = with_log_delays(space, bench.fitted, bench.banded)
     return space if campaign.fit.exact else _with_stated(space, campaign, bench)
 
 

@@ -13,7 +13,7 @@ from sysid.fit.trial import Trial
 from sysid.motor.cost import CHANNELS
 from sysid.motor.curves import supply_ratio
 from sysid.motor.inertia import spikes
-from sysid.motor.known_values import CONSTANTS, KEYS, NO_INDUCTANCE, Bench
+from sysid.motor.known_values import KEYS, NO_INDUCTANCE
 from sysid.motor.model import PARAMETERS, unpack
 from sysid.motor.parameters import LOAD_CELLS
 from sysid.motor.problem import MotorProblem
@@ -42,7 +42,6 @@ _ADVICE = {
 class MotorStory(Story[MotorProblem]):
     """Descriptions of the trials of a bench."""
 
-    known_words = "static curves and tares; ranges under parameters.measured"
     stated_example = "920 rpm/V ± 2 %"
 
     @property
@@ -134,12 +133,6 @@ class MotorStory(Story[MotorProblem]):
             out.append("no reversal was recorded: nothing shows I_sat and Ω_min, which decide its delay")
         return out
 
-    def given(self) -> Mapping[str, str]:
-        """Return what the intervals take as exact."""
-        problem, fixed = self.problem, self.problem.campaign.parameters.fixed
-        free = [*problem.space.names, *CONSTANTS] if problem.one_constant else problem.space.names
-        return taken_as_exact(free, problem.ranges, problem.bench, fixed)
-
     def floor(self, row: FloatArray) -> FloatArray:
         """Return the floors (T, 2) [channel units]; NaN where a channel has no weight."""
         out = np.full((len(self.problem.prepared), len(CHANNELS)), np.nan)
@@ -209,30 +202,3 @@ def _passes(time: FloatArray, tracks: FloatArray, levels: FloatArray) -> FloatAr
     with np.errstate(invalid="ignore", divide="ignore"):
         share = (levels - before) / (after - before)
     return np.where(passed.any(axis=1), time[at - 1] + share * (time[at] - time[at - 1]), np.nan)
-
-
-def taken_as_exact(
-    free: Collection[str], ranges: Collection[str], bench: Bench, fixed: Collection[str]
-) -> dict[str, str]:
-    """Return what a motor's intervals take as exact, in words, by the parameter whose range would count.
-
-    `free`, `ranges` and `fixed` are the names that are free, have a stated range, are fixed by the campaign.
-    """
-    out = {}
-    constants = [name for name in CONSTANTS if name not in free]
-    # Either of the pair moves the other.
-    if constants and not {*constants} & {*ranges}:
-        name = constants[0]
-        if name in fixed:
-            words = "k as fixed"
-        elif name in bench.measured:
-            words = "k as torque over the logged current gives it"
-        elif name in bench.stated and name not in bench.guessed:
-            words = "Kv as stated"
-        else:
-            words = "a guessed k, as the campaign states no Kv"
-        out[name] = f"{words} (R and L go as k²)"
-    if "rotor_inertia" not in {*free, *ranges}:
-        stated = "rotor_inertia" in {*fixed, *bench.measured}
-        out["rotor_inertia"] = "I^r as stated" if stated else "I^r of another motor (Table I)"
-    return out

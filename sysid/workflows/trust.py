@@ -122,9 +122,6 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         doubts[row.name].append("the model does not explain the trials")
     for finding in _doubtful(space.found, rows, doubts, assessed, opened.result.cube[0]):
         journal.add(finding)
-    known, given = story.known_words, story.given()
-    statement = _STATEMENT + (f" ({known})" if known else "")
-    statement += f"; given {' and '.join(given.values())}" if given else ""
     boot_record = None
     evaluations = assessed.profiles.evaluations + trials.evaluations + inquiry.evaluations
     if boot is not None:
@@ -139,7 +136,7 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         stated=inquiry.stated,
         suspects=inquiry.suspects,
         correlation=linear.information.correlation[: len(rows), : len(rows)].tolist(),
-        noise=Noise(statement=statement, channels=_channels(opened, assessed, floors)),
+        noise=Noise(statement=_STATEMENT, channels=_channels(opened, assessed, floors)),
         trials=[
             TrialInfluence(
                 name=name,
@@ -151,7 +148,7 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
             if name in problem.names
             for t in [problem.names.index(name)]
         ],
-        notes=_notes(len(problem.trials), boot, given),
+        notes=_notes(len(problem.trials), boot, opened.whole.campaign.fit.exact),
         spread=_spread(opened.result),
         bootstrap=boot_record,
         evaluations=evaluations,
@@ -264,8 +261,8 @@ def _notice_trials(
             doubts[rows[i].name].append(f"it goes elsewhere without {names[t]}")
 
 
-def _notes(trials: int, boot: Solved | None, given: Mapping[str, str]) -> list[str]:
-    """Return what the numbers leave out, one sentence each; `given` as in `Story.given`."""
+def _notes(trials: int, boot: Solved | None, exact: bool) -> list[str]:
+    """Return what the numbers leave out, one sentence each; `exact` is whether stated values are."""
     out = []
     if boot is None and trials < FEWEST:
         count = {1: "a single trial", 2: "two trials"}[trials]
@@ -278,10 +275,10 @@ def _notes(trials: int, boot: Solved | None, given: Mapping[str, str]) -> list[s
             f"bootstrap: {lost} of {len(boot.points)} fits of resampled trials did not come to an end; "
             "its intervals take their values as they are"
         )
-    if given:
+    if exact:
         out.append(
-            f"all intervals: given {' and '.join(given.values())}; a range under parameters.measured "
-            f"({', '.join(given)}) would count"
+            "all intervals: what the campaign states is taken as exact; without --exact it moves within its "
+            "errors"
         )
     return out
 

@@ -97,6 +97,7 @@ def test_the_same_campaign_taken_as_exact_is_not_explained(campaign):
     result, trust = fitted(misstated(campaign, 2, name="paper.toml"), exact=True)
     assert trust.adequacy.verdict != "explained"
     assert not trust.stated
+    assert any("taken as exact" in note for note in trust.notes)
     assert all(known.record.status != "stated" for known in result.known.values())
 
 

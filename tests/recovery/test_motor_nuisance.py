@@ -120,9 +120,6 @@ def test_every_log_has_its_own_command_delay(tmp_path: Path) -> None:
     held_out = facts["forward-2.h5"]
     assert held_out["own_delay"] == pytest.approx(0.025, abs=5e-4)
     assert held_out["nrmse_with_own_delay"] < 0.01 < held_out["nrmse"]
-    common = edited(path, (r"^\[fit\]", '[nuisance]\ncommand_delay = "common"\n\n[fit]'))
-    campaign, bench = bench_of(common)
-    assert "command_delay" in motor_space(campaign, bench).names
 
 
 def test_a_tare_without_rows_at_rest_is_estimated(tmp_path: Path) -> None:

@@ -157,7 +157,6 @@ def test_trust_on_a_motor_holds_the_truth_and_says_what_it_takes_as_known(fit: P
     for channel in found.noise.channels:
         assert 0.4 < channel.residual / channel.floor < 1.25
     assert [one.name for one in found.trials] == ["forward-1", "reverse-1"]
-    assert "given Kv as stated (R and L go as k²) and I^r as stated" in found.noise.statement
     assert found.bootstrap is None
     assert any("two trials" in one for one in found.notes)
 

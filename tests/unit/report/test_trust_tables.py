@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sysid.journal import Journal
-from sysid.motor.story import taken_as_exact
 from sysid.report.trust_tables import (
     channel_line,
     check_lines,
@@ -28,40 +27,6 @@ from sysid.trust.influence import Influence
 from sysid.workflows.kinds import find_kind
 from sysid.workflows.predict import _notice_unlike
 from sysid.workflows.trust import _notice_trials
-
-R, K, I_R = "winding_resistance", ("back_emf_constant", "torque_constant"), "rotor_inertia"
-
-
-def _bench(stated=None, measured=(), guessed=False):
-    return SimpleNamespace(
-        stated=dict.fromkeys(K, stated) if stated else {}, measured=dict.fromkeys(measured, ""),
-        guessed={*K} if guessed else set(),
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("bench", "fixed", "words"),
-    [
-        (_bench("campaign: 1/motor.kv, a rating"), (), "Kv as stated"),
-        (_bench("supply and loaded speed", guessed=True), (), "a guessed k"),
-        (_bench(), (), "a guessed k"),
-        (_bench(measured=K), (), "k as torque over the logged current gives it"),
-        (_bench("supply", guessed=True), K, "k as fixed"),
-    ],
-)
-def test_a_constant_is_called_what_it_is(bench, fixed, words):
-    name = taken_as_exact((R,), (), bench, fixed)[K[0]]
-    assert name.startswith(words)
-    assert "Kv as stated" not in name or words == "Kv as stated"
-
-
-def test_what_is_free_or_has_a_range_is_not_taken_as_exact():
-    rated = _bench("campaign: 1/motor.kv, a rating", measured=(I_R,))
-    assert list(taken_as_exact((R,), (), rated, ())) == [K[0], I_R]
-    # R and L go as k², not as the inertia.
-    assert taken_as_exact((R,), (K[1],), rated, ()) == {I_R: "I^r as stated"}
-    assert taken_as_exact((R, *K, I_R), (), rated, ()) == {}
-    assert "another motor" in taken_as_exact((R, *K), (), _bench(), ())[I_R]
 
 
 @pytest.mark.parametrize("kind", ["gear", "motor"])
