@@ -53,6 +53,8 @@ class Measured:
     typical: str = ""
     # How such a thing is measured: the source of that error.
     how: str = ""
+    # Largest error that a campaign may state of a value that may be 0, such as ``"10 deg"``; empty: any.
+    most: str = ""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         schema = handler(source)
@@ -69,6 +71,10 @@ class Measured:
             return Stated(number, self.typical_error(number), self.typical)
         if positive and error > number:
             raise ValueError(f"the error in {value!r} is larger than the value; write one standard deviation")
+        if self.most and error > parse_quantity(self.most, self.unit):
+            raise ValueError(
+                f"the error in {value!r} is beyond {self.most}; measure it, and write one standard deviation"
+            )
         return Stated(number, error)
 
     def typical_error(self, value: float) -> float:

@@ -25,7 +25,7 @@ from sysid.campaign.logs import CaptureLogOptions
 
 CaptureAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 # How a place in the laboratory is found to 1 mm.
-_Place = Annotated[float, Measured("m", "1 mm", "marker or ruler")]
+_Place = Annotated[float, Measured("m", "1 mm", "marker or ruler", "10 cm")]
 Point = tuple[_Place, _Place, _Place]
 
 
@@ -46,7 +46,9 @@ def _nearly_level(value: float) -> float:
 # Standard error of a slope that states none.
 SLOPE_ERROR = "0.2 deg"
 Slope = Annotated[
-    float, AfterValidator(_slope_on_earth), Measured("rad", SLOPE_ERROR, "inclinometer on the board")
+    float,
+    AfterValidator(_slope_on_earth),
+    Measured("rad", SLOPE_ERROR, "inclinometer on the board", "10 deg"),
 ]
 _FootDistance = Annotated[float, Field(gt=0), Measured("m", "1 mm", "ruler from the centre of mass")]
 
@@ -77,7 +79,7 @@ class Capture(CaptureLogOptions):  # type: ignore[misc]
     tilt: Annotated[
         float,
         AfterValidator(_nearly_level),
-        Measured("rad", "0.1 deg", "spirit level on the calibration square"),
+        Measured("rad", "0.1 deg", "spirit level on the calibration square", "10 deg"),
     ] = Field(default="0 deg", validate_default=True)
     level: Literal["release", "capture"] = "release"
 

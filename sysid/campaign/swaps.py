@@ -24,6 +24,8 @@ class Swap:
     exchanged: tuple[tuple[Place, Place], ...] = ()
     negated: tuple[Place, ...] = ()
     moved: tuple[tuple[Place, float], ...] = ()
+    # What is to be corrected, where no key of the campaign is wrong.
+    where: str = "the campaign"
 
     @property
     def keys(self) -> set[str | int]:

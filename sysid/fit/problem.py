@@ -135,6 +135,10 @@ class Problem(ABC):
         """Return the parameters for which this campaign's value replaces one that a fit took as known."""
         return self.campaign.parameters.fixed
 
+    def shifts(self, fit: FitResult) -> Mapping[str, float]:
+        """Return how far this campaign states values that count from what is stated, by name [SI]."""
+        return {}
+
     @property
     def mistakes(self) -> Iterable[tuple[Swap, SearchSpace]]:
         """Mistakes that the campaign may contain, and the space of stated values without each."""
@@ -347,7 +351,8 @@ class Problem(ABC):
         The one rule of every prediction (`validate`, `compare`, `report --against`):
 
         * A parameter that the fit has found keeps the fit's value. So does a value that was stated with an
-          error, unless this campaign states another number than the fit's.
+          error, unless this campaign states another number than the fit's. Where both state a place of the
+          same logs, the fit's counts, from where this campaign states it.
         * A value that the campaign states or measures (vehicle, surface, rotor, static curves) replaces one
           that the fit only took as known. Where the campaign states none, the fit's value counts.
         * Delays and lags of instruments are the campaign's where it states them. Else a log that the fit has
@@ -365,7 +370,7 @@ class Problem(ABC):
         fitted = {trial.name for trial in fit.trials if trial.use == "fit"}
         logs = fit.provenance.get("logs", {})
         seen = {str(log.get("sha256")) for name, log in logs.items() if name in fitted}
-        column = self.space.table.index
+        column, shifts = self.space.table.index, self.shifts(fit)
         values = fit.values if values is None else values
         rows = np.repeat(self.base[None], len(values), axis=0)
         for i, record in enumerate(fit.parameters):
@@ -381,7 +386,7 @@ class Problem(ABC):
             kept = name in known and (not searched or instrument)
             # The mean delay of a fit is derived from the delays of its logs.
             if not kept and (instrument or searched or record.status in ("fixed", "measured")):
-                rows[:, column[name]] = values[:, i]
+                rows[:, column[name]] = values[:, i] - shifts.get(name, 0.0)
         return self.completed(rows, fit)
 
 

@@ -82,7 +82,7 @@ class Story(Generic[P]):
         space, errors = self.problem.space, dict[str, str]()
         for name, value in space.stated.items():
             key = common_name(space.table[name])
-            errors.setdefault(self.keys.get(key, key), value.assumed)
+            errors.setdefault(self.keys.get(name, self.keys.get(key, key)), value.assumed)
         if own := [key for key, assumed in errors.items() if not assumed]:
             tell(f"fitted within their errors as well: {', '.join(own)}", detail=True)
         if typical := [f"{key} {assumed}" for key, assumed in errors.items() if assumed]:

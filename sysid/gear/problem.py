@@ -45,7 +45,7 @@ from sysid.gear.starts import (
     noise_signals,
     start_roots,
 )
-from sysid.gear.stated import SLOPE, Moved, with_stated, without_mistake
+from sysid.gear.stated import SLOPE, Moved, shifts, with_stated, without_mistake
 from sysid.gear.swaps import swaps
 from sysid.journal import Finding
 from sysid.parameters import SearchSpace
@@ -184,13 +184,6 @@ def measured_values(campaign: GearCampaign) -> dict[str, float]:
     for table in (campaign.vehicle, campaign.surface):
         stated |= table.model_dump(exclude_unset=True, exclude_none=True)
     return {name: stated[name] for name in PARAMETERS if name in stated}
-
-
-def _places(text: str) -> list[object]:
-    """Return the places and the tilt that the text of a campaign states."""
-    campaign = tomllib.loads(text)
-    keys = {"capture": ("centre_of_mass_offset", "tilt"), "surface": ("point", "marker_height")}
-    return [campaign.get(table, {}).get(key) for table, names in keys.items() for key in names]
 
 
 @lru_cache(maxsize=8)
@@ -405,19 +398,17 @@ class GearProblem(Problem):
         return CAPTURED
 
     def known(self, fit: FitResult) -> Collection[str]:
-        """Return what the campaign states or fixes.
-
-        Places are as stated where no log is one of the fit's, or the fit's campaign states others: a fit
-        moves them from there.
-        """
+        """Return what the campaign states or fixes; places as well where no log is one of the fit's."""
         digests = {log.get("sha256") for log in fit.provenance.get("logs", {}).values()}
-        before, source = (
-            fit.provenance.get("campaign", {}).get("text"),
-            getattr(self.campaign, "source", None),
-        )
-        moved = before is not None and source is not None and _places(before) != _places(source.text)
-        other = CAPTURED if moved or digests.isdisjoint(trial.digest for trial in self.trials) else ()
-        return {*self.stated, *self.campaign.parameters.fixed, *other}
+        new = digests.isdisjoint(trial.digest for trial in self.trials)
+        return {*self.stated, *self.campaign.parameters.fixed, *(CAPTURED if new else ())}
+
+    def shifts(self, fit: FitResult) -> Mapping[str, float]:
+        """Return how far this campaign states places and tilt from where the fit's does."""
+        text = fit.provenance.get("campaign", {}).get("text")
+        if text is None:
+            return {}
+        return shifts(self.campaign, GearCampaign.model_validate(tomllib.loads(text)))
 
     def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
         """Return the fall, the contact until the body falls again, the bounces, and the rest.

@@ -80,6 +80,13 @@ def without_mistake(space: SearchSpace, campaign: GearCampaign, swap: Swap) -> S
     return space.restating({name: value for name, value in moved.items() if name in space.stated})
 
 
+def shifts(campaign: GearCampaign, other: GearCampaign) -> dict[str, float]:
+    """Return how far a campaign states places and tilt from where another one does, by row [SI]."""
+    names = {row.name for row in (*CENTRE, *SURFACE, TILT)}
+    rows = _of_the_capture(campaign, {}, other)
+    return {row.name: float(value) for row, value in rows if row.common_name in names}
+
+
 def _of_the_model(campaign: GearCampaign, table: ParameterTable) -> Iterator[tuple[str, Stated]]:
     """Yield names of the model's rows, and what is stated of each [SI]."""
     fixed = campaign.parameters.fixed_values(table)
@@ -101,6 +108,7 @@ def _of_the_capture(
     surface, exact = campaign.surface, campaign.fit.exact
     prepared = prepared or campaign
     before = {trial.name: trial.point for trial in prepared.trials}
+    tilt = float(campaign.capture.tilt - prepared.capture.tilt)
     fitted = [trial for trial in campaign.trials if trial.use == "fit"]
     fitted.sort(key=lambda trial: name_order(trial.name))
     for trial in fitted:
@@ -120,7 +128,7 @@ def _of_the_capture(
         frame = CaptureFrame(campaign.capture.up, directions.pop())
         centre, from_there = (one.capture.centre_of_mass_offset for one in (campaign, prepared))
         yield from zip(CENTRE, _in_plane(centre, frame, from_there), strict=True)
-        yield TILT, _with_error(0.0, of=campaign.capture.tilt)
+        yield TILT, _with_error(tilt, of=campaign.capture.tilt)
         if surface.point is not None and any(trial.point is None for trial in fitted):
             yield from zip(SURFACE, _in_plane(surface.point, frame, prepared.surface.point), strict=True)
     if surface.markers is not None and any(trial.point is None for trial in fitted):
@@ -128,12 +136,12 @@ def _of_the_capture(
     if surface.rest_log is not None and not exact:
         # The surface is where the feet of the body at rest are, on legs that sag.
         error = float(np.hypot(typical_error(_SAG_ERROR, 0.0, "m"), error_of(campaign.vehicle.foot_dz)))
-        yield SURFACE[1], Stated(0.0, error, _SAG_ERROR)
+        yield SURFACE[1], Stated(0.0, error)
     for trial in fitted:
         if trial.point is not None:
             frame = CaptureFrame(campaign.capture.up, trial.down_slope or campaign.capture.down_slope)
             rows = [row.of_trial(trial.name) for row in SURFACE]
-            yield from zip(rows, _in_plane(trial.point, frame, before[trial.name]), strict=True)
+            yield from zip(rows, _in_plane(trial.point, frame, before.get(trial.name)), strict=True)
 
 
 def _in_plane(point: Point, frame: CaptureFrame, origin: Point | None) -> tuple[Stated, Stated]:
@@ -242,15 +250,10 @@ class Moved:
         states[..., 0] += lean * states[..., 4] ** 2 / (2 * self.gravity[:, None])
         states[..., 3] -= lean * states[..., 4]
 
-    def _upright(self, x: FloatArray, z: FloatArray, sign: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        """Return components (P, ...) along the capture's axes along true ones; with -1 the other way."""
-        tilt = sign * self.tilt.reshape(-1, *[1] * (x.ndim - 1))
-        return x * np.cos(tilt) + z * np.sin(tilt), z * np.cos(tilt) - x * np.sin(tilt)
-
     def _turned(self, pitch: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the shift of the centre of mass along x and z at pitches (P, ...) [rad]."""
         x, z = (part.reshape(-1, *[1] * (pitch.ndim - 1)) for part in self.centre.T)
-        return x * np.cos(pitch) + z * np.sin(pitch), z * np.cos(pitch) - x * np.sin(pitch)
+        return _rotated(x, z, pitch)
 
     def starts(self, states: FloatArray) -> FloatArray:
         """Return states (P, D, 6) [SI] of the body's centre over the surface, from what was captured."""
@@ -262,26 +265,33 @@ class Moved:
         out[:, :, 3] += states[:, :, 5] * z
         out[:, :, 4] -= states[:, :, 5] * x
         for k in (0, 3):
-            out[:, :, k], out[:, :, k + 1] = self._upright(out[:, :, k], out[:, :, k + 1])
+            out[:, :, k], out[:, :, k + 1] = _rotated(out[:, :, k], out[:, :, k + 1], self.tilt[:, None])
         out[:, :, 2] += np.where(self.levelled, 0.0, self.tilt[:, None])
         return out
 
     def seen(self, points: FloatArray, drop: int) -> FloatArray:
         """Return points (P, ..., 2) of a drop's simulation as the capture would have seen them [m]."""
         place = self.surface[:, drop].reshape(-1, *[1] * (points.ndim - 2), 2)
-        return np.stack(self._upright(points[..., 0], points[..., 1], -1.0), axis=-1) + place
+        tilt = self.tilt.reshape(-1, *[1] * (points.ndim - 2))
+        return np.stack(_rotated(points[..., 0], points[..., 1], -tilt), axis=-1) + place
 
     def as_captured(self, samples: FloatArray, drop: int) -> None:
         """Change simulated samples (P, n, 6) [SI] of a drop to what the capture would have seen."""
         if not self.levelled[drop]:
             samples[:, :, 2] -= self.tilt[:, None]
         for p in np.flatnonzero(self.tilt):
-            cos, sin = np.cos(self.tilt[p]), np.sin(self.tilt[p])
             for k in (0, 3):
-                across, up = samples[p, :, k].copy(), samples[p, :, k + 1].copy()
-                samples[p, :, k], samples[p, :, k + 1] = across * cos - up * sin, up * cos + across * sin
+                samples[p, :, k], samples[p, :, k + 1] = _rotated(
+                    samples[p, :, k], samples[p, :, k + 1], -self.tilt[p]
+                )
         x, z = self._turned(samples[:, :, 2])
         samples[:, :, 0] -= x - self.surface[:, drop, None, 0]
         samples[:, :, 1] -= z - self.surface[:, drop, None, 1]
         samples[:, :, 3] -= samples[:, :, 5] * z
         samples[:, :, 4] += samples[:, :, 5] * x
+
+
+def _rotated(x: FloatArray, z: FloatArray, angle: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    """Return components x, z of a vector that is turned by an angle [rad], as a body by its pitch."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return x * cos + z * sin, z * cos - x * sin

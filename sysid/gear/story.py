@@ -32,7 +32,7 @@ from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
 from sysid.gear.problem import ONE_TOUCHDOWN, GearProblem
 from sysid.gear.starts import start_roots
 from sysid.gear.stated import CENTRE, RELEASE, SURFACE, TILT, Moved
-from sysid.journal import notice
+from sysid.journal import notice, tell
 from sysid.parameters import ParameterTable
 from sysid.trials.look import inspect_recording, log_quality
 from sysid.types import FloatArray, IntArray
@@ -66,7 +66,21 @@ class GearStory(Story[GearProblem]):
         place = "marker_height" if surface.markers else "rest_log" if surface.rest_log else "point"
         keys = dict.fromkeys((row.name for row in CENTRE), "centre_of_mass_offset")
         keys |= dict.fromkeys((row.name for row in SURFACE), place)
+        own = [trial.name for trial in self.problem.campaign.trials if trial.point is not None]
+        keys |= {row.of_trial(name).name: "point" for row in SURFACE for name in own}
         return {RELEASE.name: "release", TILT.name: "tilt", **keys}
+
+    def tell_stated(self) -> None:
+        """Tell also what is exact because the drops slide along several directions."""
+        super().tell_stated()
+        campaign = self.problem.campaign
+        fitted = (trial for trial in campaign.trials if trial.use == "fit")
+        ways = {trial.down_slope or campaign.capture.down_slope for trial in fitted}
+        if len(ways) > 1 and not campaign.fit.exact:
+            tell(
+                f"the drops slide along {', '.join(sorted(ways))}: centre_of_mass_offset, tilt and "
+                "surface.point are taken as exact; drops along one direction would fit them"
+            )
 
     @property
     def accuracy(self) -> Mapping[str, object]:

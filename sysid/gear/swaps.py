@@ -13,6 +13,8 @@ from sysid.trials.capture import CaptureFrame
 
 # Entries that belong to a log: exchanged logs are exchanged slopes and places.
 _OF_LOG = ("log", "log_options", "rigid_body", "release", "touchdown")
+# The capture's axes, in the order of a point's components.
+_AXES = "xyz"
 # Component of an offset below which its sign tells nothing [m].
 _LEAST = 1e-3
 # Distances by which the height of feet, surface or centre of mass may be off [mm].
@@ -39,12 +41,12 @@ def swaps(campaign: GearCampaign) -> Iterator[Swap]:
     for k in (along, up):
         value = campaign.capture.centre_of_mass_offset[k]
         if abs(value) > _LEAST:
-            yield Swap(f"the other sign of centre_of_mass_offset[{k}]", negated=((*offset, k),))
+            yield Swap(f"the other sign of {_AXES[k]} in centre_of_mass_offset", negated=((*offset, k),))
     points = [offset] if any(campaign.capture.centre_of_mass_offset) else []
     points += [("surface", "point")] if campaign.surface.point is not None else []
     for point in points:
         for k, m in combinations(range(3), 2):
-            title = f"the components {k} and {m} of {point[-1]} exchanged"
+            title = f"{_AXES[k]} and {_AXES[m]} of {point[-1]} exchanged"
             yield Swap(title, (((*point, k), (*point, m)),))
 
 

@@ -7,7 +7,7 @@ after it with all other values fixed, takes no part in trust.
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sysid.campaign import MotorCampaign
+from sysid.campaign.swaps import Swap
 from sysid.filters import shown_noise
 from sysid.fit.compiling import tell_of_kernel
 from sysid.fit.problem import Problem
@@ -30,6 +31,7 @@ from sysid.motor.parameters import LOAD_CELLS, SENSORS
 from sysid.motor.static_curves import MEASURED_CURVE, MeasuredCurve, NoLoadTie, no_load_line
 from sysid.motor.targets import PreparedTrial, measured_spectrum
 from sysid.parameters import Parameter, SearchSpace
+from sysid.stated import Stated
 from sysid.trials.bench_log import STANDS
 from sysid.types import BoolArray, FloatArray, IntArray, Rotation
 
@@ -42,6 +44,13 @@ _MEMORY = 4e6
 _FOLLOWS = 0.3
 # Approximate number of parts of all trials together that a ladder leaves out in turn.
 _PIECES = 12
+# Numbers of poles that are often entered wrongly, and what that divides all speeds by.
+_WRONG_POLES = {
+    "a stand set to 14 poles for a motor of 12": 14 / 12,
+    "a stand set to 12 poles for a motor of 14": 12 / 14,
+    "a stand set to poles where it asks for pairs": 2.0,
+    "a stand set to pairs of poles where it asks for poles": 0.5,
+}
 _INDEX = PARAMETERS.index
 _INSTRUMENTS = PARAMETERS.group("instrument")
 
@@ -409,6 +418,22 @@ class MotorProblem(Problem):
     def stated(self) -> Mapping[str, float]:
         """What the campaign and its static logs give."""
         return self.bench.values
+
+    @property
+    def mistakes(self) -> Iterator[tuple[Swap, SearchSpace]]:
+        """Wrong numbers of poles, unless a stand says that it counts turns by an optical probe.
+
+        They leave torques and voltages as they are, so an inertia that is stated rightly looks wrong.
+        """
+        inertia = self.space.stated.get("rotor_inertia")
+        notes = [{note.code for note in trial.log.recording.provenance.notes} for trial in self.prepared]
+        if inertia is None or all("optical-speed" in codes for codes in notes):
+            return
+        for words, factor in _WRONG_POLES.items():
+            title = f"all speeds {factor:.4g} times as high ({words})"
+            read = Stated(factor * inertia, factor * inertia.error, inertia.assumed)
+            where = "the poles in the stand's program, and export the logs anew"
+            yield Swap(title, where=where), self.space.restating({"rotor_inertia": read})
 
     def known(self, fit: FitResult) -> Collection[str]:
         """Return what the campaign gives that is no guess; without k where the fit has identified R."""

@@ -76,7 +76,9 @@ def _changes(document: ExplainDocument, rung: LadderRung, lost: set[str]) -> dic
 def _in_words(one: Suspect) -> str:
     """Return what is changed: values of which nothing is stated, a mistake undone, a trial left out."""
     names = " and ".join(one.names)
-    return {"value": f"{names} not stated", "swap": f"with {names}", "trial": f"without {names}"}[one.what]
+    as_stated = "nothing: as stated, within its errors"
+    changes = {"value": f"{names} not stated", "swap": f"with {names}", "trial": f"without {names}"}
+    return changes.get(one.what, as_stated)
 
 
 def rungs_table(document: ExplainDocument) -> Table:
@@ -89,7 +91,7 @@ def rungs_table(document: ExplainDocument) -> Table:
     def kept(row: _Row) -> Cell:
         rung = row[1]
         if isinstance(rung, Suspect):
-            return Cell("accused", "bad") if rung.sentences else Cell("no")
+            return Cell("accused", "bad") if rung.sentences else Cell("no" if rung.names else "")
         if rung is base:
             return Cell("")
         if rung in document.simpler:

@@ -111,10 +111,11 @@ class StatedValue(Part):
 class Suspect(Part):
     """What may be wrong, and what noise explains without it.
 
-    Values of which nothing is stated then, a mistake such as an exchange, or a trial that is left out.
+    Values of which nothing is stated then, a mistake such as an exchange, or a trial that is left out; the
+    first one of several is the fit as it is, without names.
     """
 
-    what: Literal["value", "swap", "trial"]
+    what: Literal["fit", "value", "swap", "trial"]
     names: list[str]
     # NRMSE over what noise costs, and the worst channel's [1].
     over_noise: float

@@ -109,6 +109,8 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
         else:
             others = [one.model_copy(update={"sentences": []}) for one in others]
         suspects += others
+    if suspects:
+        suspects.insert(0, _suspect("fit", [], judged, []))
     return Inquiry(suspects, rows, findings, freed, way, evaluations)
 
 
@@ -130,12 +132,12 @@ def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: floa
     at = dict(zip(space.names, space.decode(linear.point[None])[0].tolist(), strict=True))
     pulls = space.pulls(space.full(linear.point[None]))[0]
     pulled = {name for name, pull in zip(space.stated, pulls, strict=True) if abs(pull) > 1.0}
-    titles, spaces, rows = [], [], []
+    swaps, spaces, rows = [], [], []
     for swap, right in problem.mistakes:
         moved = {name: value for name, value in right.stated.items() if value != space.stated[name]}
         if moved.keys() & pulled:
             place = np.array([{**at, **moved}[name] for name in right.names])
-            titles.append(swap.title)
+            swaps.append(swap)
             spaces.append(right)
             rows.append(right.full(np.clip(right.encode(place), 0.0, 1.0)[None])[0])
     if not rows:
@@ -154,8 +156,8 @@ def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: floa
         after = adequacy(other, spaces[k].full(solved.points)[0])
         if after.verdict == EXPLAINED_BY and solved.squares[0] < least:
             least = float(solved.squares[0])
-            sentence = f"with {titles[k]} {_falls(before, after)}: correct the campaign"
-            best = _suspect("swap", [titles[k]], after, [sentence])
+            sentence = f"with {swaps[k].title} {_falls(before, after)}: correct {swaps[k].where}"
+            best = _suspect("swap", [swaps[k].title], after, [sentence])
             values = dict(zip(spaces[k].names, spaces[k].decode(solved.points)[0].tolist(), strict=True))
     return _Mistake(best, values, evaluations)
 
@@ -244,7 +246,10 @@ def _trials(problem: Problem, before: Adequacy, without: Solved) -> list[Suspect
 
 
 def _suspect(
-    what: Literal["value", "swap", "trial"], names: Sequence[str], judged: Adequacy, sentences: list[str]
+    what: Literal["fit", "value", "swap", "trial"],
+    names: Sequence[str],
+    judged: Adequacy,
+    sentences: list[str],
 ) -> Suspect:
     return Suspect(
         what=what, names=[*names], over_noise=judged.ratio, worst_channel=judged.misfit.channel_ratio,

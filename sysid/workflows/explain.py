@@ -55,7 +55,7 @@ def explain_and_print(
     if adopt is not None:
         line = [_adopted(opened, document, adopt)]
     else:
-        able = document.keep or _accused(document, "swap") or _accused(document, "trial")
+        able = document.keep or _swaps(opened, document) or _accused(document, "trial")
         line = ["--adopt FILE writes a campaign with what to change"] if able else []
     if not print_result(document.printed(), json):
         if document.together:
@@ -145,6 +145,12 @@ def _accused(document: ExplainDocument, what: str) -> list[str]:
     return [name for one in document.suspects if one.sentences and one.what == what for name in one.names]
 
 
+def _swaps(opened: OpenedFit, document: ExplainDocument) -> list[Swap]:
+    """Return the accused mistakes that keys of the campaign contain."""
+    accused = _accused(document, "swap")
+    return [swap for swap, _ in opened.problem.mistakes if swap.title in accused and swap.keys]
+
+
 def _check_adopting(opened: OpenedFit, adopt: Path, force: bool) -> None:
     """Refuse before the minute of an explanation what could not be written after it."""
     check_file(adopt, force=force, error_type=FitError)
@@ -158,9 +164,9 @@ def _check_adopting(opened: OpenedFit, adopt: Path, force: bool) -> None:
 
 def _adopted(opened: OpenedFit, document: ExplainDocument, adopt: Path) -> str:
     """Write the campaign with the terms to keep, without a mistake or a bad trial; return what was done."""
-    bad, mistakes = _accused(document, "trial"), _accused(document, "swap")
-    if not document.parameters and not bad and not mistakes:
-        measured = _accused(document, "value")
+    bad, swaps = _accused(document, "trial"), _swaps(opened, document)
+    if not document.parameters and not bad and not swaps:
+        measured = [*_accused(document, "value"), *_accused(document, "swap")]
         why = "no term is kept, so there is nothing to adopt"
         if measured:
             why = f"what is measured again belongs there: {', '.join(measured)}"
@@ -169,7 +175,6 @@ def _adopted(opened: OpenedFit, document: ExplainDocument, adopt: Path) -> str:
     if document.parameters:
         # Numbers of single trials are not named in a campaign, nor is what it states.
         names = [row.name for row in opened.space.found if not row.trial] + document.parameters
-    swaps = [swap for swap, _ in opened.problem.mistakes if swap.title in mistakes]
     text = edited(opened.whole.campaign.source.text, names, bad, opened.path, adopt, swaps)
     write_file(adopt, text.encode(), FitError)
     # The campaign keeps its name, by which its fit would take the place of this one.

@@ -15,6 +15,7 @@ from sysid.trust.documents import TrustDocument
 from sysid.workflows.explain import explain_and_print
 from sysid.workflows.fit import fit_gear
 from sysid.workflows.options import FitOptions
+from sysid.workflows.reopen import open_fit
 
 pytestmark = pytest.mark.slow
 # A drone that is not the paper's.
@@ -89,6 +90,9 @@ def test_every_verb_takes_a_fit_with_stated_values(campaign):
     assert [row.verdict for row in again.parameters] == [row.verdict for row in trust.parameters]
     # The cost of pulls is no part of the NRMSE.
     assert result.nrmse[0] == pytest.approx(trust.adequacy.nrmse, rel=2e-3)
+    # A campaign that states other places of the same logs is predicted as well as the fit's own.
+    other = open_fit(folder, misstated(campaign, 1, name="other.toml", gross={"point[1]": 4.0})).whole.fitted
+    assert other.score(other.adopt(result)[:1]).by_channel.mean() == pytest.approx(result.nrmse[0], rel=0.02)
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "what the campaign states, and what the fit made of it" in page
 
@@ -177,7 +181,8 @@ def test_two_exchanged_slopes_are_named_as_exchanged(campaign):
     assert wrong.keys() == {"slope[drop-2]", "slope[drop-7]"}
     assert math.degrees(wrong["slope[drop-2]"].asked) == pytest.approx(10, abs=0.1)
     # The exchange explains both, so it stands first, and an adopted campaign is without it.
-    accused, values = trust.suspects
+    as_it_is, accused, values = trust.suspects
+    assert not as_it_is.names
     assert (accused.what, accused.verdict, values.sentences) == ("swap", "explained", [])
     assert "the slopes (or the logs) of drop-2 and drop-7 exchanged 3." in trust.warnings[0]
     adopted = path.with_name("adopted.toml")
@@ -195,7 +200,7 @@ def test_a_lost_sign_of_the_centre_of_mass_is_named(campaign):
     path.write_text(right.replace(line, f'{head}, "-{value}'), "utf-8")
     _, trust = fitted(path)
     assert [one.what for one in trust.suspects if one.sentences] == ["swap"]
-    assert "with the other sign of centre_of_mass_offset[2]" in trust.warnings[0]
+    assert "with the other sign of z in centre_of_mass_offset" in trust.warnings[0]
     adopted = path.with_name("mended.toml")
     explain_and_print(path.with_suffix(""), adopt=adopted)
     assert adopted.read_text("utf-8") == right

@@ -5,6 +5,7 @@ import pytest
 from fakes.lab import MOTOR_LAB, misstated, scaled
 from sysid.synthetic import read_truth, synthesize_motor
 from sysid.trust.documents import TrustDocument
+from sysid.workflows.explain import explain_and_print
 from sysid.workflows.fit import fit_motor
 from sysid.workflows.options import FitOptions
 from sysid.workflows.show import verdict_on
@@ -89,3 +90,17 @@ def test_the_same_taken_as_exact_is_a_confident_error(campaign):
     _, trust, _ = fitted(path, exact=True)
     assert not trust.stated
     assert not trust.by_name["winding_resistance"].contains(MOTOR["winding_resistance"])
+
+
+def test_a_wrong_number_of_poles_is_named(campaign):
+    # Speeds of a motor of 12 poles, read as of 14, are those of another motor with 14/12 of its inertia.
+    errors = {**MOTOR_LAB, "rotor_inertia": "3 %"}
+    gross = {"rotor_inertia": (12 / 14 - 1) / 0.03}
+    path = misstated(campaign, 4, name="poles.toml", errors=errors, gross=gross)
+    _, trust, folder = fitted(path)
+    assert "(a stand set to 14 poles for a motor of 12)" in trust.warnings[0]
+    assert trust.warnings[0].endswith("correct the poles in the stand's program, and export the logs anew")
+    # No key of the campaign is wrong.
+    adopted = path.with_name("adopted.toml")
+    explain_and_print(folder, adopt=adopted)
+    assert not adopted.exists()

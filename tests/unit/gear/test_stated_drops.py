@@ -14,8 +14,9 @@ from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
 from sysid.gear.plausible import capture_frame
 from sysid.gear.problem import gear_space
-from sysid.gear.stated import without_mistake
+from sysid.gear.stated import shifts, without_mistake
 from sysid.gear.swaps import swaps
+from sysid.journal import Journal
 from sysid.synthetic import DropPlan, synthesize_gear
 from sysid.workflows.kinds import find_kind, open_campaign
 
@@ -259,7 +260,7 @@ def test_a_mistake_moves_what_is_stated_unless_a_part_of_it_is_exact(exact, tmp_
         "slope[drop-2]",
     }
     assert moved["foot_dx and foot_dz exchanged"] == {"foot_dx", "foot_dz"}
-    assert moved["the other sign of centre_of_mass_offset[1]"] == {"centre_of_mass_dz"}
+    assert moved["the other sign of y in centre_of_mass_offset"] == {"centre_of_mass_dz"}
     text = problem.campaign.source.text
     path = tmp_path / "drops.toml"
     path.write_text(re.sub(r'(?m)^(slope = "10) .*$', r'\1 deg exact"', text), encoding="utf-8")
@@ -276,7 +277,7 @@ def test_a_mistake_is_undone_in_the_text(exact, tmp_path):
     path = tmp_path / "drops.toml"
     path.write_text(text, encoding="utf-8")
     campaign = read_campaign(path, "gear")
-    (sign,) = (swap for swap in swaps(campaign) if swap.title.endswith("centre_of_mass_offset[2]"))
+    (sign,) = (swap for swap in swaps(campaign) if swap.title.startswith("the other sign of z"))
     document = tomlkit.parse(text)
     sign.undo_in(document)
     assert tomlkit.dumps(document) == text.replace('"+3 mm"]', '"-3 mm"]')
@@ -300,3 +301,37 @@ def test_a_capture_leans_along_the_way_down_of_the_campaign(exact, tmp_path):
     path.write_text(text.replace('"2 deg"', '"95 deg"'), encoding="utf-8")
     with pytest.raises(CampaignError, match="a tilt of 95 deg is beyond 10 deg"):
         read_campaign(path, "gear")
+
+
+def test_places_of_another_campaign_are_shifted_to_where_it_states_them(stated, exact):
+    gross = {"point[1]": 3.0, "centre_of_mass_offset[2]": -4.0, "tilt": 2.0}
+    other = opened(misstated(exact, 0, name="other-places.toml", gross=gross))
+    moved = shifts(other.campaign, stated.campaign)
+    # Down-slope is -z of the capture.
+    assert {name: value for name, value in moved.items() if value} == pytest.approx(
+        {"surface_dz": 3e-3, "centre_of_mass_dx": 4e-3, "capture_tilt": math.radians(0.2)}
+    )
+    back = {name: -value for name, value in moved.items()}
+    costs = [
+        of.score(row).by_channel for of, row in ((stated, row_of(stated)), (other, row_of(other, **back)))
+    ]
+    assert costs[1].mean() == pytest.approx(costs[0].mean(), rel=0.05)
+    assert other.score(row_of(other)).by_channel.mean() > 2 * costs[0].mean()
+
+
+@pytest.mark.parametrize(
+    ("drop", "told"),
+    [
+        ('point = ["364 mm", "430.5 mm", "-812.5 mm"]', "point 1 mm"),
+        ('down_slope = "+z"', "centre_of_mass_offset, tilt and surface.point are taken as exact"),
+    ],
+)
+def test_what_is_fitted_is_called_by_its_key(exact, tmp_path, drop, told):
+    path = misstated(exact, 0, name="keys.toml", written=False)
+    head, _, tail = path.read_text(encoding="utf-8").rpartition("[[trials]]")
+    path.write_text(f"{head}[[trials]]\n{drop}{tail}", encoding="utf-8")
+    problem = opened(path)
+    said: list[str] = []
+    with Journal(said.append):
+        find_kind("gear").story(problem).tell_stated()
+    assert any(told in sentence for sentence in said)

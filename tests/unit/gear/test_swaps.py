@@ -35,7 +35,7 @@ def heard(tmp_path, *changes):
           ('slope = "x"', 'slope = "15 deg"')], "the slopes (or the logs) of drop-2 and drop-3 exchanged"),
         ([('foot_dx = "105 mm"', 'foot_dx = "151 mm"'), ('foot_dz = "151 mm"', 'foot_dz = "105 mm"')],
          "foot_dx and foot_dz exchanged"),
-        ([('"-22 mm"', '"22 mm"')], "the other sign of centre_of_mass_offset[1]"),
+        ([('"-22 mm"', '"22 mm"')], "the other sign of y in centre_of_mass_offset"),
         ([('foot_dz = "151 mm"', 'foot_dz = "167 mm"')], "foot_dz about 1"),
     ],
 )  # fmt: skip

@@ -276,3 +276,12 @@ def test_a_slip_of_a_unit_is_refused(key, text, words, path):
     there = edited(path, (f"^{key} = .*", f'{key} = "{text}"'), name="there.toml")
     with pytest.raises(CampaignError, match=words):
         bench_of(there)
+
+
+def test_every_log_has_a_delay_and_no_campaign_chooses_a_common_one(path):
+    text = path.read_text(encoding="utf-8")
+    path.write_text(f'{text}\n[nuisance]\ncommand_delay = "log"\n', encoding="utf-8")
+    assert read_campaign(path).trials
+    path.write_text(f'{text}\n[nuisance]\ncommand_delay = "common"\n', encoding="utf-8")
+    with pytest.raises(CampaignError, match="unknown key nuisance; "):
+        read_campaign(path)
