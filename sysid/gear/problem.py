@@ -45,7 +45,7 @@ from sysid.gear.starts import (
     noise_signals,
     start_roots,
 )
-from sysid.gear.stated import SLOPE, Moved, shifts, with_stated, without_mistake
+from sysid.gear.stated import SLOPE, Moved, places_apart, with_stated, without_mistake
 from sysid.gear.swaps import swaps
 from sysid.journal import Finding
 from sysid.parameters import SearchSpace
@@ -408,7 +408,7 @@ class GearProblem(Problem):
         text = fit.provenance.get("campaign", {}).get("text")
         if text is None:
             return {}
-        return shifts(self.campaign, GearCampaign.model_validate(tomllib.loads(text)))
+        return places_apart(self.campaign, GearCampaign.model_validate(tomllib.loads(text)))
 
     def phases(self, trial: int, row: FloatArray) -> list[tuple[float, str]]:
         """Return the fall, the contact until the body falls again, the bounces, and the rest.

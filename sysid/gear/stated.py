@@ -80,7 +80,7 @@ def without_mistake(space: SearchSpace, campaign: GearCampaign, swap: Swap) -> S
     return space.restating({name: value for name, value in moved.items() if name in space.stated})
 
 
-def shifts(campaign: GearCampaign, other: GearCampaign) -> dict[str, float]:
+def places_apart(campaign: GearCampaign, other: GearCampaign) -> dict[str, float]:
     """Return how far a campaign states places and tilt from where another one does, by row [SI]."""
     names = {row.name for row in (*CENTRE, *SURFACE, TILT)}
     rows = _of_the_capture(campaign, {}, other)

@@ -14,7 +14,7 @@ from sysid.campaign import read_campaign
 from sysid.errors import CampaignError
 from sysid.gear.plausible import capture_frame
 from sysid.gear.problem import gear_space
-from sysid.gear.stated import shifts, without_mistake
+from sysid.gear.stated import places_apart, without_mistake
 from sysid.gear.swaps import swaps
 from sysid.journal import Journal
 from sysid.synthetic import DropPlan, synthesize_gear
@@ -306,7 +306,7 @@ def test_a_capture_leans_along_the_way_down_of_the_campaign(exact, tmp_path):
 def test_places_of_another_campaign_are_shifted_to_where_it_states_them(stated, exact):
     gross = {"point[1]": 3.0, "centre_of_mass_offset[2]": -4.0, "tilt": 2.0}
     other = opened(misstated(exact, 0, name="other-places.toml", gross=gross))
-    moved = shifts(other.campaign, stated.campaign)
+    moved = places_apart(other.campaign, stated.campaign)
     # Down-slope is -z of the capture.
     assert {name: value for name, value in moved.items() if value} == pytest.approx(
         {"surface_dz": 3e-3, "centre_of_mass_dx": 4e-3, "capture_tilt": math.radians(0.2)}
@@ -316,7 +316,7 @@ def test_places_of_another_campaign_are_shifted_to_where_it_states_them(stated, 
         of.score(row).by_channel for of, row in ((stated, row_of(stated)), (other, row_of(other, **back)))
     ]
     assert costs[1].mean() == pytest.approx(costs[0].mean(), rel=0.05)
-    assert other.score(row_of(other)).by_channel.mean() > 2 * costs[0].mean()
+    assert other.score(row_of(other)).by_channel.mean() > 1.5 * costs[0].mean()
 
 
 @pytest.mark.parametrize(
