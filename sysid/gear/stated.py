@@ -20,6 +20,7 @@ from sysid.campaign.swaps import Swap
 from sysid.fit.trial import name_order
 from sysid.gear.drops import PreparedDrop
 from sysid.gear.parameters import CAPTURED, PARAMETERS
+from sysid.gear.swaps import OF_LOG
 from sysid.parameters import Parameter, ParameterTable, SearchSpace
 from sysid.stated import Stated, error_of, typical_error
 from sysid.trials.capture import CaptureFrame
@@ -66,13 +67,22 @@ def with_stated(
 def without_mistake(space: SearchSpace, campaign: GearCampaign, swap: Swap) -> SearchSpace:
     """Return the space in which the stated values are those of a campaign without a mistake.
 
-    It is the same space where a part of the mistake is exact, or moves nothing.
+    It is the same space where a part of the mistake is exact, moves nothing, or leaves other rows. A drop is
+    called after its log, which may have been exchanged.
     """
+    names = {trial.model_dump_json(include=OF_LOG): trial.name for trial in campaign.trials}
+    right = swap.undone(campaign)
+    trials = tuple(
+        trial.model_copy(update={"name": names[trial.model_dump_json(include=OF_LOG)]})
+        for trial in right.trials
+    )
     before, after = (
         dict(_of_the_model(one, space.table))
         | {row.name: value for row, value in _of_the_capture(one, {}, campaign)}
-        for one in (campaign, swap.undone(campaign))
+        for one in (campaign, right.model_copy(update={"trials": trials}))
     )
+    if before.keys() != after.keys():
+        return space
     moved = {name: value for name, value in after.items() if value != before[name]}
     # If one of two exchanged values is exact, a fit could move the other one only.
     if not all(error_of(value) > 0 < error_of(before[name]) for name, value in moved.items()):

@@ -12,7 +12,7 @@ from sysid.campaign.swaps import Place, Swap
 from sysid.trials.capture import CaptureFrame
 
 # Entries that belong to a log: exchanged logs are exchanged slopes and places.
-_OF_LOG = ("log", "log_options", "rigid_body", "release", "touchdown")
+OF_LOG = {"log", "log_options", "rigid_body", "release", "touchdown"}
 # The capture's axes, in the order of a point's components.
 _AXES = "xyz"
 # Component of an offset below which its sign tells nothing [m].
@@ -26,13 +26,13 @@ def swaps(campaign: GearCampaign) -> Iterator[Swap]:
     for k, m in combinations(range(len(campaign.trials)), 2):
         one, other = campaign.trials[k], campaign.trials[m]
         names = f"of {one.name} and {other.name} exchanged"
-        beside = {"name", "use", "slope", *_OF_LOG}
+        beside = {"name", "use", "slope", *OF_LOG}
         alike = one.model_dump(exclude=beside) == other.model_dump(exclude=beside)
         if None not in (one.slope, other.slope) and one.slope != other.slope:
             title = f"the slopes{' (or the logs)' if alike else ''} {names}"
             yield Swap(title, ((("trials", k, "slope"), ("trials", m, "slope")),))
         if not alike:
-            pairs = tuple((("trials", k, key), ("trials", m, key)) for key in _OF_LOG)
+            pairs = tuple((("trials", k, key), ("trials", m, key)) for key in sorted(OF_LOG))
             yield Swap(f"the logs {names}", pairs)
     yield Swap("foot_dx and foot_dz exchanged", ((("vehicle", "foot_dx"), ("vehicle", "foot_dz")),))
     frame = CaptureFrame(campaign.capture.up, campaign.capture.down_slope)

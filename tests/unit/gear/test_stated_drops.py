@@ -272,6 +272,24 @@ def test_a_mistake_moves_what_is_stated_unless_a_part_of_it_is_exact(exact, tmp_
             assert without_mistake(space, campaign, swap) is space
 
 
+def test_exchanged_logs_exchange_all_that_is_stated_of_their_drops(exact, tmp_path):
+    head, *trials = exact.read_text(encoding="utf-8").split("[[trials]]")
+    points = (f'point = ["364 mm", "{430 + k}.5 mm ± 1 mm", "-812.5 mm"]' for k in range(3))
+    slopes = (re.sub(r'(?m)^(slope = "[^"]*) deg"', r'\1 ± 0.2 deg"', trial) for trial in trials)
+    parts = (f"[[trials]]\n{point}{trial}" for point, trial in zip(points, slopes, strict=True))
+    path = tmp_path / "drops.toml"
+    path.write_text(head.replace("exact = true", "") + "".join(parts), encoding="utf-8")
+    campaign = read_campaign(path, "gear")
+    space = gear_space(campaign)
+    (logs,) = (swap for swap in swaps(campaign) if swap.title == "the logs of drop-1 and drop-3 exchanged")
+    right = without_mistake(space, campaign, logs).stated
+    moved = {name: right[name] - space.stated[name] for name in right if right[name] != space.stated[name]}
+    assert moved == pytest.approx({
+        "slope[drop-1]": math.radians(20), "slope[drop-3]": -math.radians(20),
+        "surface_dz[drop-1]": 2e-3, "surface_dz[drop-3]": -2e-3,
+    })  # fmt: skip
+
+
 def test_a_mistake_is_undone_in_the_text(exact, tmp_path):
     text = exact.read_text(encoding="utf-8").replace('"3 mm"]', '"+3 mm"]')
     path = tmp_path / "drops.toml"
