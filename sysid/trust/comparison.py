@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 from sysid.documents import Part
@@ -61,9 +61,16 @@ class Comparison(Part):
     warnings: list[str]
 
 
-def known_values(spaces: Sequence[SearchSpace]) -> list[KnownValue]:
-    """Return the known values that differ between the search spaces of fits; of single trials none."""
-    known = [{**space.fixed, **space.stated} for space in spaces]
+def known_values(
+    spaces: Sequence[SearchSpace], shifts: Sequence[Mapping[str, float]] = ()
+) -> list[KnownValue]:
+    """Return the known values that differ between the search spaces of fits; of single trials none.
+
+    `shifts` are added: how far places are stated from where the first fit's campaign states them, by name.
+    """
+    known: list[dict[str, float]] = [{**space.fixed, **space.stated} for space in spaces]
+    for each, moved in zip(known, shifts, strict=False):
+        each |= {name: each[name] + way for name, way in moved.items() if name in each}
     out = []
     for name in dict.fromkeys(name for values in known for name in values if "[" not in name):
         values = [each.get(name) for each in known]

@@ -95,7 +95,9 @@ def compare_fits(
         fits=names,
         kind=kinds[0],
         laws=laws if len(set(laws)) > 1 else [],
-        known=known_values([fit.space for fit in opened]),
+        known=known_values(
+            [fit.space for fit in opened], [fit.problem.shifts(opened[0].result) for fit in opened]
+        ),
         differences=differences,
         cross=None if table is None else table.tolist(),
         sentences=lines,

@@ -254,6 +254,9 @@ def test_known_values_that_differ_are_stated_for_each_fit(tmp_path):
         path.write_text(changed.replace('law = "lf"', f'law = "{law}"'), encoding="utf-8")
         spaces.append(gear_space(read_campaign(path, "gear")))
     assert known_values(spaces[:1] * 2) == []
+    # Places count from where each campaign states them.
+    (row,) = known_values(spaces[:1] * 2, [{}, {"surface_dz": 3e-3}])
+    assert (row.parameter, row.values) == ("surface_dz", [0.0, 3e-3])
     (row,) = known_values(spaces[:2])
     assert (row.parameter, row.values) == ("kinetic_friction", [0.54, 0.58])
     free = {row.parameter: row.values for row in known_values(spaces[::2])}
