@@ -27,6 +27,10 @@ Scale = Literal["linear", "log"]
 AT_BOUND = 0.01
 # Distance of a stated value's bounds from the value [its standard errors], and the least share of it.
 _FARTHEST_PULL, _LEAST_SHARE = 20.0, 0.05
+# The same of a value whose statement is taken out.
+_FARTHEST_OFF = 200.0
+# Group of rows that count from what a campaign states of a place or a direction.
+FROM_STATED = "stated place"
 # Distance from a stated value from which on its statement is a slip rather than chance [standard errors].
 _SLIP = 3.0
 
@@ -179,10 +183,8 @@ class SearchSpace:
         table = ParameterTable([*self.table.values(), *more], self.table.derived)
         rows = []
         for name, value in stated.items():
-            reach, row = _FARTHEST_PULL * value.error, table[name]
-            low = max(value - reach, _LEAST_SHARE * value) if row.lower >= 0 else value - reach
-            low, nominal, high = map(float, (low, value, value + reach))
-            rows.append(replace(row, lower=low, nominal=nominal, upper=high, scale="linear"))
+            row = replace(table[name], nominal=float(value), scale="linear")
+            rows.append(_between(row, table[name], value, _FARTHEST_PULL))
         fixed = {name: value for name, value in self.fixed.items() if name not in stated}
         fixed |= {row.name: row.nominal for row in more if row.name not in stated}
         return SearchSpace(table, (*self.free, *rows), fixed, {**self.stated, **stated})
@@ -201,9 +203,22 @@ class SearchSpace:
 
     def unstating(self, names: Collection[str]) -> SearchSpace:
         """Return the space in which the search looks for some rows, whatever is stated of them."""
+        wider = self.widened(names)
         stated = {name: value for name, value in self.stated.items() if name not in names}
-        rows = sorted(self.free[len(self.found) :], key=lambda row: row.name in stated)
+        rows = sorted(wider.free[len(self.found) :], key=lambda row: row.name in stated)
         return SearchSpace(self.table, (*self.found, *rows), self.fixed, stated)
+
+    def widened(self, names: Collection[str]) -> SearchSpace:
+        """Return the space in which stated values may be off by far."""
+        return replace(
+            self,
+            free=tuple(
+                _between(row, self.table[row.name], self.stated[row.name], _FARTHEST_OFF)
+                if row.name in names
+                else row
+                for row in self.free
+            ),
+        )
 
     @property
     def found(self) -> tuple[Parameter, ...]:
@@ -313,3 +328,10 @@ def about(parameter: Named, code: str, sentence: str, size: float = 0.0) -> Find
 def with_unit(text: str, unit: str) -> str:
     """Return a number with its unit; alone where that is 1."""
     return text if unit in ("", "1") else f"{text} {unit}"
+
+
+def _between(row: Parameter, unbound: Parameter, value: Stated, farthest: float) -> Parameter:
+    """Return a row between bounds `farthest` standard errors from its stated value; `unbound` has a sign."""
+    reach = farthest * value.error
+    low = max(value - reach, _LEAST_SHARE * value) if unbound.lower >= 0 else value - reach
+    return replace(row, lower=float(low), upper=float(value + reach))

@@ -58,7 +58,7 @@ class Measured:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         schema = handler(source)
-        positive = schema.get("gt") == 0
+        positive = schema.get("gt", schema.get("ge")) == 0
         return no_info_wrap_validator_function(partial(self._stated, positive), schema)
 
     def _stated(self, positive: bool, value: object, inner: ValidatorFunctionWrapHandler) -> Stated:
@@ -69,7 +69,7 @@ class Measured:
         number = inner(number if isinstance(value, str) else quantity(value, self.unit))
         if error is None:
             return Stated(number, self.typical_error(number), self.typical)
-        if positive and error > number:
+        if positive and error > number > 0:
             raise ValueError(f"the error in {value!r} is larger than the value; write one standard deviation")
         if self.most and error > parse_quantity(self.most, self.unit):
             raise ValueError(

@@ -21,17 +21,17 @@ from sysid.fit.trial import name_order
 from sysid.gear.drops import PreparedDrop
 from sysid.gear.parameters import CAPTURED, PARAMETERS
 from sysid.gear.swaps import OF_LOG
-from sysid.parameters import Parameter, ParameterTable, SearchSpace
+from sysid.parameters import FROM_STATED, Parameter, ParameterTable, SearchSpace
 from sysid.stated import Stated, error_of, typical_error
 from sysid.trials.capture import CaptureFrame
 from sysid.types import BoolArray, FloatArray
 
 
-def _captured(name: str, symbol: str, unit: str, meaning: str) -> Parameter:
-    return Parameter(name, symbol, unit, 0.0, -1.0, 1.0, "linear", meaning, "campaign", "capture")
+def _captured(name: str, symbol: str, unit: str, meaning: str, group: str = FROM_STATED) -> Parameter:
+    return Parameter(name, symbol, unit, 0.0, -1.0, 1.0, "linear", meaning, "campaign", group)
 
 
-SLOPE = _captured("slope", "α", "rad", "Angle of the surface.")
+SLOPE = _captured("slope", "α", "rad", "Angle of the surface.", "capture")
 RELEASE = _captured("release_delay", "δt", "s", "Delay of the release behind its stated instant.")
 CENTRE = (
     _captured("centre_of_mass_dx", "δx_c", "m", "Centre of mass in front of its stated place, down-slope."),

@@ -21,6 +21,7 @@ from sysid.fit.compiling import tell_of_kernel
 from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult
 from sysid.fit.trial import NoiseModel, Prediction, Scores, Trial
+from sysid.loaders.readers.rcbenchmark_csv import OPTICAL
 from sysid.motor import kernel
 from sysid.motor.batch import SimulatedTrials, simulate_population
 from sysid.motor.cost import CHANNELS, BenchCost, MotorTarget
@@ -421,13 +422,17 @@ class MotorProblem(Problem):
 
     @property
     def mistakes(self) -> Iterator[tuple[Swap, SearchSpace]]:
-        """Wrong numbers of poles, unless a stand says that it counts turns by an optical probe.
+        """Wrong numbers of poles, unless a log says that an optical probe counted the turns.
 
         They leave torques and voltages as they are, so an inertia that is stated rightly looks wrong.
         """
         inertia = self.space.stated.get("rotor_inertia")
-        notes = [{note.code for note in trial.log.recording.provenance.notes} for trial in self.prepared]
-        if inertia is None or all("optical-speed" in codes for codes in notes):
+        logs = [
+            *(log.provenance for log in self.bench.curves.logs),
+            *(one.provenance for one in self.prepared),
+        ]
+        notes = " ".join(str(log.get("notes", "")) for log in logs)
+        if inertia is None or OPTICAL in notes:
             return
         for words, factor in _WRONG_POLES.items():
             title = f"all speeds {factor:.4g} times as high ({words})"

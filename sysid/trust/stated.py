@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from sysid.journal import Finding
-from sysid.parameters import SearchSpace, common_name, loosened, with_unit
+from sysid.parameters import FROM_STATED, SearchSpace, common_name, loosened, with_unit
 from sysid.trust.documents import StatedValue
 from sysid.trust.linearized import Linearized, bounded_information, half_widths
 from sysid.trust.verdicts import WEAKLY, as_half_width
@@ -26,6 +26,8 @@ from sysid.types import FloatArray
 _CHANCE = 0.02
 # Deviance by which another value may explain the trials worse and still be named beside the first one.
 _AS_WELL = 6.0
+# Difference of two falls of the deviance that tells nothing.
+_ALIKE = 1.0
 # Least correlation with a stated value that makes up half of a variance, and least error of that value after
 # the fit, over the stated one, with which the statement decides and not the trials [1].
 _HALF, _AS_STATED = 0.707, 0.7
@@ -132,6 +134,9 @@ def stated_values(space: SearchSpace, linear: Linearized) -> list[StatedValue]:
         if gains[worst] <= limit:
             break
         near = np.flatnonzero((gains > gains[worst] - _AS_WELL) & (gains > limit))
+        # Of values that explain the trials alike, the one that is off the least stands first.
+        alike = near[gains[near] > gains[worst] - _ALIKE]
+        worst = int(min(alike, key=lambda i: abs(judged.without(i).pulls[i])))
         wrong[worst] = [int(j) for j in near if j != worst]
         judged = judged.without(worst)
     out = []
@@ -204,29 +209,34 @@ def better_measured(
     return out
 
 
-def contradictions(rows: Sequence[StatedValue], space: SearchSpace, falls: str) -> list[Finding]:
+def contradictions(
+    rows: Sequence[StatedValue], space: SearchSpace, falls: str, instead: Sequence[str] = ()
+) -> list[Finding]:
     """Return a finding for every value that the trials contradict, the worst first.
 
-    `falls` says how the misfit falls once the values are what the trials ask for.
+    `falls` says how the misfit falls once the values are what the trials ask for; what else would do that,
+    `instead` of the first value, is outside of the campaign.
     """
-    by_name, out = {row.name: row for row in rows}, []
-    trials = {row.name: row.trial for row in space.free}
+    by_name, out = {row.name: row for row in rows}, list[Finding]()
+    it = "it" if sum(row.contradicted for row in rows) == 1 else "all that they ask for"
+    parameters = {row.name: row for row in space.free}
     for row in sorted(rows, key=lambda row: -row.gain):
         if not row.contradicted:
             continue
-        others = [by_name[name] for name in row.partners]
-        instead = ", ".join(f"{one.name} = {_shown(one, one.asked)}" for one in others)
+        others = (by_name[name] for name in row.partners)
+        alike = [f"{one.name} = {_shown(one, one.asked)}" for one in others] + [*(instead if not out else ())]
+        parameter = parameters[row.name]
+        states = f", the campaign states {_shown(row, row.stated, row.error)}"
+        if parameter.group == FROM_STATED:
+            meaning = parameter.meaning[:1].lower() + parameter.meaning[1:].rstrip(".")
+            states = f" ({meaning}), which is good to {_shown(row, row.error)}"
         sentence = (
-            f"the trials ask for {row.name} = {_shown(row, row.asked, row.sigma)}, the campaign states "
-            f"{_shown(row, row.stated, row.error)} ({abs(row.asked - row.stated) / row.error:.0f} standard "
-            f"errors): with what they ask for {falls}; measure it again"
-            + (f" ({instead} would do the same)" if instead else "")
+            f"the trials ask for {row.name} = {_shown(row, row.asked, row.sigma)}{states} "
+            f"({abs(row.asked - row.stated) / row.error:.0f} standard errors): with {it} {falls}"
+            "; measure it again" + (f" ({', '.join(alike)} would do the same)" if alike else "")
         )
-        name = common_name(next(one for one in space.free if one.name == row.name))
-        of = (trials[row.name],) if trials[row.name] else ()
-        out.append(
-            Finding("stated-value-contradicted", sentence, trials=of, size=row.gain, parameters=(name,))
-        )
+        of, names = (parameter.trial,) if parameter.trial else (), (common_name(parameter),)
+        out.append(Finding("stated-value-contradicted", sentence, trials=of, size=row.gain, parameters=names))
     return out
 
 

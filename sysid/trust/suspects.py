@@ -32,6 +32,10 @@ _ALONE = 3
 # Deviance by which a mistake may explain the trials worse than contradicted values of which nothing is stated
 # and still be accused instead: the values are then stated elsewhere, with their errors.
 _AS_WELL = 6.0
+# Distance from which on what is stated of a bad trial alone is wrong [standard errors].
+_OFF = 3.0
+# Share of the misfit from which on it does not fall.
+_NO_FALL = 0.99
 # Number of iterations of a fit without a statement.
 _ITERATIONS = 15
 # Least misfit of a bad trial as the fit of the others predicts it [noise].
@@ -68,41 +72,46 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
     freed: dict[str, float] = {}
     way, evaluations = "", 0
     if sets:
-        points, least, evaluations = _freed(problem, linear, sets, rows)
-        *tried, as_stated = [adequacy(problem, row) for row in space.full(points)]
+        values, least, evaluations = _freed(problem, linear, sets, rows)
+        *tried, as_stated = [adequacy(problem, row) for row in values]
         if wrong and lacks and tried[0].verdict == NOT_BY:
             rows = [row.model_copy(update={"contradicted": False}) for row in rows]
         # The fit without the statements knows better than the derivatives at the fit with them.
         if any(row.contradicted for row in rows):
-            freed = dict(zip(space.names, space.decode(points[0]).tolist(), strict=True))
+            freed = dict(zip(space.names, values[0, space.columns].tolist(), strict=True))
             way = f"without what is stated of {' and '.join(wrong)}"
-        rows = [
-            row.model_copy(update={"asked": freed[row.name]}) if row.contradicted else row for row in rows
-        ]
-        findings = contradictions(rows, space, _falls(as_stated, tried[0]))
+        rows = [_asking(row, freed[row.name]) if row.contradicted else row for row in rows]
+        exchange = _mistake(problem, linear, as_stated if wrong else judged, least if wrong else np.inf)
+        evaluations += exchange.evaluations
+        # What no key of the campaign states may be wrong as well as a value that explains the trials.
+        outside = exchange.names if not exchange.in_campaign else []
+        findings = contradictions(rows, space, _falls(as_stated, tried[0]), outside)
         accused = [one.sentence for one in findings]
         suspects = [
             _suspect("value", names, one, accused if names == wrong else [])
             for names, one in zip(sets, tried, strict=True)
         ]
-        before = as_stated if wrong else judged
-        exchange = _mistake(problem, linear, before, least if wrong else np.inf)
-        if exchange.suspect is not None:
+        if exchange.suspect is not None and not (outside and findings):
             findings = [Finding("contradicts-swapped", exchange.suspect.sentences[0])]
             suspects = [one.model_copy(update={"sentences": []}) for one in suspects]
             suspects.insert(0, exchange.suspect)
             freed, way = exchange.values, f"with {exchange.suspect.names[0]}"
-        evaluations += exchange.evaluations
     if lacks and without is not None:
         others = _trials(problem, judged, without)
         bad = [one for one in others if one.sentences]
         if len(bad) == 1 and not findings:
             trial = Finding("bad-trial", bad[0].sentences[0], trials=tuple(bad[0].names), size=judged.ratio)
-            again = _without(problem, without.points[problem.names.index(bad[0].names[0])], bad[0])
+            point = without.points[problem.names.index(bad[0].names[0])]
+            again = _of_trial(problem, linear, point, bad[0].names[0], rows, judged)
+            if again is None:
+                again = _without(problem, point, bad[0])
+                # A wrong value is the likelier cause of both.
+                findings = [*again.findings, trial]
+            else:
+                findings = again.findings
+                others = [one.model_copy(update={"sentences": []}) for one in others]
             accusing = {row.name: row for row in again.stated if row.contradicted}
             rows = [accusing.get(row.name, row) for row in rows]
-            # A wrong value is the likelier cause of both.
-            findings = [*again.findings, trial]
             others = [*(one for one in again.suspects if one.sentences), *others]
             freed, way = again.freed, again.way
             evaluations += again.evaluations
@@ -114,12 +123,24 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
     return Inquiry(suspects, rows, findings, freed, way, evaluations)
 
 
+def _asking(row: StatedValue, value: float) -> StatedValue:
+    """Return a contradicted value with what the trials ask for; not accused if it is right after all."""
+    right = abs(value - row.stated) < row.error
+    return row.model_copy(update={"asked": value, "contradicted": not right})
+
+
 class _Mistake(NamedTuple):
     """A mistake in the campaign, if one is accused, and the values of the fit without it by name [SI]."""
 
     suspect: Suspect | None
     values: dict[str, float]
     evaluations: int
+    # Whether keys of the campaign contain it.
+    in_campaign: bool = True
+
+    @property
+    def names(self) -> list[str]:
+        return self.suspect.names if self.suspect is not None else []
 
 
 def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: float) -> _Mistake:
@@ -143,7 +164,7 @@ def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: floa
     if not rows:
         return _Mistake(None, {}, 0)
     cost = problem.cost.mean(problem.score(np.array(rows)).by_channel)
-    best, values, evaluations = None, dict[str, float](), len(rows)
+    best, values, evaluations, in_campaign = None, dict[str, float](), len(rows), True
     least += _AS_WELL * float(linear.scale[-1]) ** 2
     for k in np.argsort(cost)[:_ALONE]:
         other = replace(problem, space=spaces[k])  # type: ignore[type-var]
@@ -157,9 +178,9 @@ def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: floa
         if after.verdict == EXPLAINED_BY and solved.squares[0] < least:
             least = float(solved.squares[0])
             sentence = f"with {swaps[k].title} {_falls(before, after)}: correct {swaps[k].where}"
-            best = _suspect("swap", [swaps[k].title], after, [sentence])
+            best, in_campaign = _suspect("swap", [swaps[k].title], after, [sentence]), bool(swaps[k].keys)
             values = dict(zip(spaces[k].names, spaces[k].decode(solved.points)[0].tolist(), strict=True))
-    return _Mistake(best, values, evaluations)
+    return _Mistake(best, values, evaluations, in_campaign)
 
 
 def _without(problem: Problem, point: FloatArray, bad: Suspect) -> Inquiry:
@@ -187,9 +208,10 @@ def without_accused(
                     values[i] = right.stated[name]
             point = np.clip(right.encode(values), 0.0, 1.0)
         elif one.sentences:
-            at = dict(zip(problem.space.names, point.tolist(), strict=True))
+            at = dict(zip(problem.space.names, problem.space.decode(point[None])[0].tolist(), strict=True))
             problem = replace(problem, space=problem.space.unstating(one.names))  # type: ignore[type-var]
-            point = np.array([at[name] for name in problem.space.names])
+            place = np.array([at[name] for name in problem.space.names])
+            point = np.clip(problem.space.encode(place), 0.0, 1.0)
     return problem, point
 
 
@@ -198,9 +220,9 @@ def _freed(
 ) -> tuple[FloatArray, float, int]:
     """Return where fits end, each without the statements of one set; in the last the wrong are as stated.
 
-    Points (F + 1, n) [unit cube], the sum of squares of the first, and how many were simulated. The first set
+    Rows (F + 1, n_table) [SI], the sum of squares of the first, and how many were simulated. The first set
     walks from what its values are in the fit and from what the trials ask for: a statement that has not let
-    go may lie beyond a ridge.
+    go may lie beyond a ridge. A value that comes to its bounds walks on without them.
     """
     space, stop = problem.space, problem.blocks[-1].stop
     places = {name: i for i, name in enumerate(space.stated)}
@@ -220,10 +242,63 @@ def _freed(
         fixed=fixed, known=linear.derivatives, weights=lambda part: weights[part], tolerance=linear.tolerance,
         iterations=_ITERATIONS,
     )  # fmt: skip
-    points = np.delete(solved.points, -2, axis=0)
+    points, evaluations = np.delete(solved.points, -2, axis=0), solved.evaluations
     if solved.squares[-2] < solved.squares[0]:
         points[0] = solved.points[-2]
-    return points, float(min(solved.squares[-2], solved.squares[0])), solved.evaluations
+    least, out = float(min(solved.squares[-2], solved.squares[0])), space.full(points)
+    at_bound = space.at_bound(points)
+    for f, names in enumerate(sets):
+        if any(at_bound[f, space.names.index(name)] for name in names):
+            out[f], squares, spent = _unstated(problem, linear, points[f], names)
+            least, evaluations = squares if f == 0 else least, evaluations + spent
+    return out, least, evaluations
+
+
+def _unstated(
+    problem: Problem, linear: Linearized, start: FloatArray, names: Sequence[str]
+) -> tuple[FloatArray, float, int]:
+    """Return where a fit ends that starts at a point (n,) [unit cube] with nothing stated of some values.
+
+    They may be off by far. The row (n_table,) [SI], its sum of squares, and how many were simulated.
+    """
+    places = [problem.blocks[-1].stop + [*problem.space.stated].index(name) for name in names]
+    wider, scale = problem.space.widened(names), linear.scale.copy()
+    scale[places] = 0.0
+    solved = solve(
+        replace(problem, space=wider),  # type: ignore[type-var]
+        np.clip(wider.encode(problem.space.decode(start[None])), 0.0, 1.0), scale,
+        rise=linear.jacobian.rise, tolerance=linear.tolerance, iterations=2 * _ITERATIONS,
+    )  # fmt: skip
+    return wider.full(solved.points)[0], float(solved.squares[0]), solved.evaluations
+
+
+def _of_trial(
+    problem: Problem, linear: Linearized, others: FloatArray, trial: str, rows: Sequence[StatedValue],
+    judged: Adequacy,
+) -> Inquiry | None:  # fmt: skip
+    """Try what is stated of a bad trial alone, from the fit of the `others` (n,) [unit cube].
+
+    None where that is not what is wrong. A wrong slope hardly differs from a bad log.
+    """
+    space = problem.space
+    own = [row.name for row in space.free if row.trial == trial and row.name in space.stated]
+    if not own:
+        return None
+    start, places = others.copy(), [space.names.index(name) for name in own]
+    start[places] = linear.point[places]
+    full, _, evaluations = _unstated(problem, linear, start, own)
+    freed = dict(zip(space.names, full[space.columns].tolist(), strict=True))
+    after = adequacy(problem, full)
+    off = {name for name in own if abs(freed[name] - space.stated[name]) > _OFF * space.stated[name].error}
+    if after.verdict != EXPLAINED_BY or not off:
+        return None
+    rows = [
+        row.model_copy(update={"contradicted": True, "asked": freed[row.name]}) if row.name in off else row
+        for row in rows
+    ]
+    findings = contradictions(rows, space, _falls(judged, after))
+    suspect = _suspect("value", own, after, [one.sentence for one in findings])
+    return Inquiry([suspect], rows, findings, freed, f"without what is stated of {trial}", evaluations)
 
 
 def _trials(problem: Problem, before: Adequacy, without: Solved) -> list[Suspect]:
@@ -259,6 +334,9 @@ def _suspect(
 
 def _falls(before: Adequacy, after: Adequacy) -> str:
     """Return how the misfit falls, in words; in the worst channel where the mean does not show it."""
+    fall = after.misfit.channel_ratio / before.misfit.channel_ratio
+    if max(after.ratio / before.ratio, fall) > _NO_FALL:
+        return f"the misfit stays at {after.ratio:.2f} × the noise"
     if before.ratio > before.limits[EXPLAINED_BY]:
         return f"{before.ratio:.2f} × the noise falls to {after.ratio:.2f} ×"
     symbol, worst = channel_symbol(before.misfit.channel), before.misfit.channel_ratio

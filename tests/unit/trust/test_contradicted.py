@@ -75,9 +75,7 @@ def test_a_wrong_value_is_named_and_its_true_value_is_asked_for():
         (finding,) = contradictions(rows, space, FALLS)
         assert finding.code == "stated-value-contradicted"
         assert "the campaign states 1.080 ± 0.010 kg (" in finding.sentence
-        assert finding.sentence.endswith(
-            f" standard errors): with what they ask for {FALLS}; measure it again"
-        )
+        assert finding.sentence.endswith(f" standard errors): with it {FALLS}; measure it again")
     assert inside >= 35
 
 
