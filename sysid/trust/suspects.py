@@ -10,7 +10,7 @@ accuse values, because a wrong value spoils how a trial is read.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -32,7 +32,7 @@ _ALONE = 3
 # Deviance by which a mistake may explain the trials worse than contradicted values of which nothing is stated
 # and still be accused instead: the values are then stated elsewhere, with their errors.
 _AS_WELL = 6.0
-# Distance from which on what is stated of a bad trial alone is wrong [standard errors].
+# Distance from which on a value is wrong besides another one, or in a bad trial [standard errors].
 _OFF = 3.0
 # Share of the misfit from which on it does not fall.
 _NO_FALL = 0.99
@@ -80,7 +80,7 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
         if any(row.contradicted for row in rows):
             freed = dict(zip(space.names, values[0, space.columns].tolist(), strict=True))
             way = f"without what is stated of {' and '.join(wrong)}"
-        rows = [_asking(row, freed[row.name]) if row.contradicted else row for row in rows]
+        rows = _asking(rows, freed)
         exchange = _mistake(problem, linear, as_stated if wrong else judged, least if wrong else np.inf)
         evaluations += exchange.evaluations
         # What no key of the campaign states may be wrong as well as a value that explains the trials.
@@ -123,10 +123,21 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
     return Inquiry(suspects, rows, findings, freed, way, evaluations)
 
 
-def _asking(row: StatedValue, value: float) -> StatedValue:
-    """Return a contradicted value with what the trials ask for; not accused if it is right after all."""
-    right = abs(value - row.stated) < row.error
-    return row.model_copy(update={"asked": value, "contradicted": not right})
+def _asking(rows: Sequence[StatedValue], freed: Mapping[str, float]) -> list[StatedValue]:
+    """Return the rows, the contradicted ones with what the trials ask for.
+
+    Beside the worst one, a value that is right after all is not accused.
+    """
+    off = {row.name: abs(freed[row.name] - row.stated) / row.error for row in rows if row.contradicted}
+    worst = max(off, key=lambda name: off[name], default="")
+    return [
+        row.model_copy(
+            update={"asked": freed[row.name], "contradicted": row.name == worst or off[row.name] > _OFF}
+        )
+        if row.name in off
+        else row
+        for row in rows
+    ]
 
 
 class _Mistake(NamedTuple):
@@ -290,7 +301,7 @@ def _of_trial(
     freed = dict(zip(space.names, full[space.columns].tolist(), strict=True))
     after = adequacy(problem, full)
     off = {name for name in own if abs(freed[name] - space.stated[name]) > _OFF * space.stated[name].error}
-    if after.verdict != EXPLAINED_BY or not off:
+    if after.misfit.channel_ratio > _UNLIKE or not off:
         return None
     rows = [
         row.model_copy(update={"contradicted": True, "asked": freed[row.name]}) if row.name in off else row

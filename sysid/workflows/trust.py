@@ -44,6 +44,9 @@ from sysid.workflows.draws import draw_values
 from sysid.workflows.options import TrustOptions
 from sysid.workflows.reopen import OpenedFit, open_fit
 
+# What makes single trials stand out of a fit that noise does not explain.
+_MISSING_TERM = "a term that the model lacks does that: try sysid explain first"
+_WRONG_STATEMENT = "what the campaign states wrongly does that: correct it first"
 _STATEMENT = (
     "the mean NRMSE is minimized by a weighted sum of squares, one noise level per trial and channel "
     "(its NRMSE); the rise of that sum along a profile is divided by the parameter's inflation, which "
@@ -109,7 +112,9 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
         if inquiry.freed and not row.contains(value := inquiry.freed[row.name]):
             doubts[row.name].append(f"{value:.4g} {inquiry.way}")
     bad = any(finding.code == "bad-trial" for finding in inquiry.findings)
-    _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, lacks and not bad)
+    why = _WRONG_STATEMENT if inquiry.findings else _MISSING_TERM
+    why = why if lacks and not bad else ""
+    _notice_trials(problem.names, without, trials, rows, doubts, opened.kind.words, why)
     record = opened.result.provenance
     same_file = record.get("campaign", {}).get("sha256") == opened.stated["sha256"]
     findings = record.get("findings", ()) if same_file else ()
@@ -223,18 +228,19 @@ def _notice_trials(
     rows: list[FreeParameter],
     doubts: dict[str, list[str]],
     words: Words,
-    lacks: bool,
+    why: str,
 ) -> None:
     """Notice trials that stand out or decide the fit, which the parameters that they touch then doubt.
 
     `names` are the trials'; `without` (T, n) are the parameters of the fits without each [SI]. Of a model
-    that `lacks` something the trials are the evidence: none is to be dropped before the terms were tried.
+    that lacks something the trials are the evidence: none is to be dropped before what does that, `why`, was
+    tried; it is empty otherwise.
     """
     look = 'look at it, and fit without it (use = "validate")'
     unlike, alone = f": {look}", f"; {words.misleads} does that: {look}"
     unlike += f" or {words.remedy}" if words.remedy else ""
-    if lacks:
-        unlike = alone = "; a term that the model lacks does that: try sysid explain first"
+    if why:
+        unlike = alone = f"; {why}"
     for t in trials.outliers:
         others = float(np.median(np.delete(trials.ratio, t)))
         notice(
@@ -246,7 +252,7 @@ def _notice_trials(
             doubts[row.name].append(f"{names[t]} fits unlike the other trials")
     for t, farthest in trials.held_by:
         # If noise explains the trials, a move inside the interval says no more than the interval does.
-        far = [i for i in farthest if lacks or not rows[i].contains(without[t, i])]
+        far = [i for i in farthest if why or not rows[i].contains(without[t, i])]
         if not far:
             continue
         moved = ", ".join(

@@ -106,6 +106,24 @@ def test_the_same_campaign_taken_as_exact_is_not_explained(campaign):
 
 
 @pytest.mark.parametrize(
+    ("key", "error", "off", "asked"),
+    [
+        # 20 % of an inertia that is known to 0.4 %, and a slope of which one drop alone knows.
+        ("body_inertia", "0.4 %", 50, "the trials ask for body_inertia = "),
+        ("slope[3]", "0.2 deg", -24, "the trials ask for slope[drop-3] = "),
+    ],
+)
+def test_a_value_may_be_off_by_more_than_twenty_errors(campaign, key, error, off, asked):
+    errors = {**GOOD_LAB, key.partition("[")[0]: error}
+    _, trust = fitted(misstated(campaign, 0, name=f"far-{key[:4]}.toml", errors=errors, gross={key: off}))
+    assert any(asked in one for one in trust.warnings)
+    assert not any("noise explains the others" in one or "a term" in one for one in trust.warnings)
+    (wrong,) = (row for row in trust.stated if row.contradicted)
+    true = {**read_truth(campaign.parent)["parameters"], "slope[drop-3]": math.radians(15)}[wrong.name]
+    assert wrong.asked == pytest.approx(true, abs=0.05 * abs(wrong.stated - true))
+
+
+@pytest.mark.parametrize(
     ("key", "name", "errors"),
     [
         ("body_inertia", "body_inertia", 7),

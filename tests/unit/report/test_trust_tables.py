@@ -37,7 +37,7 @@ def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
     rows = [FreeParameter.model_construct(name="p", symbol="p", refined=0.5, **interval)]
     odd = Influence(np.array([1.0, 1.0, 4.0]), np.full((3, 1), 0.3), np.array([[0.0], [0.0], [9.0]]))
     with Journal() as journal:
-        _notice_trials(("a", "b", "c"), odd.without, odd, rows, {"p": []}, words, lacks=False)
+        _notice_trials(("a", "b", "c"), odd.without, odd, rows, {"p": []}, words, why="")
         judged = [SimpleNamespace(name=n, ratio=r) for n, r in zip("abc", odd.ratio, strict=True)]
         _notice_unlike(judged, words)
     sentences = journal.sentences()
@@ -49,7 +49,7 @@ def test_advice_on_an_odd_trial_fits_what_was_fitted(kind):
     # Inside its interval the move is no news: one sentence less.
     wide = [rows[0].model_copy(update={"interval_95": [0.2, 0.6]})]
     with Journal() as journal:
-        _notice_trials(("a", "b", "c"), odd.without, odd, wide, {"p": []}, words, lacks=False)
+        _notice_trials(("a", "b", "c"), odd.without, odd, wide, {"p": []}, words, why="")
     assert not any("hangs on" in sentence for sentence in journal.sentences())
 
 

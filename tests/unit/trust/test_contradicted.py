@@ -1,10 +1,12 @@
 """Stated values against trials, on linear models where the answer is known in closed form."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from sysid.parameters import Parameter, ParameterTable, SearchSpace, loosened
+from sysid.parameters import FROM_STATED, Parameter, ParameterTable, SearchSpace, loosened
 from sysid.stated import Stated
 from sysid.trust.linearized import Information, Linearized
 from sysid.trust.problem import Jacobian
@@ -77,6 +79,21 @@ def test_a_wrong_value_is_named_and_its_true_value_is_asked_for():
         assert "the campaign states 1.080 ± 0.010 kg (" in finding.sentence
         assert finding.sentence.endswith(f" standard errors): with it {FALLS}; measure it again")
     assert inside >= 35
+
+
+def test_a_place_is_said_to_count_from_where_it_is_stated():
+    space, linear, _ = fitted(*drawn(1, wrong=8.0))
+    rows = stated_values(space, linear)
+    free = tuple(
+        dataclasses.replace(row, group=FROM_STATED, meaning="Point above its stated place.")
+        if row.name == "v0"
+        else row
+        for row in space.free
+    )
+    (finding,) = contradictions(rows, dataclasses.replace(space, free=free), FALLS, ["another motor"])
+    assert " kg (point above its stated place), which is good to 0.010 kg (" in finding.sentence
+    assert "the campaign states" not in finding.sentence
+    assert finding.sentence.endswith("measure it again (another motor would do the same)")
 
 
 def test_right_values_are_left_alone():
