@@ -14,7 +14,7 @@ import numpy as np
 
 from sysid.fit.trial import Trial
 from sysid.trust.documents import JudgedTrial, Leaves, Overall
-from sysid.trust.use import judged_use
+from sysid.trust.use import PREDICTS, judged_use
 from sysid.types import FloatArray
 
 # Limits of the NRMSE over its noise floor, mean over trials [1]: whole windows, up to the third touchdown.
@@ -88,16 +88,20 @@ def _ratios(trials: Sequence[JudgedTrial]) -> tuple[FloatArray, FloatArray]:
     return whole, early
 
 
-def reasons(trials: Sequence[JudgedTrial]) -> tuple[str, ...]:
-    """Return why a prediction is flagged, one sentence per number; none where noise explains it."""
+def reasons(trials: Sequence[JudgedTrial], *, predicts: bool = False) -> tuple[str, ...]:
+    """Return why a prediction is flagged, one sentence per number; none where noise explains it.
+
+    If it `predicts` nevertheless, its fixed values need not be wrong.
+    """
     out = []
+    within = "more than noise, yet the numbers of use lie within their bands"
     whole, early = _ratios(trials)
-    for ratios, limit, where, meaning in (
+    for ratios, limit, where, cause in (
         (whole, RATIO, "", "the model or its fixed values are wrong for these trials"),
         (early, RATIO_EARLY, " up to the third touchdown", "chaos does not explain it"),
     ):
         if np.isfinite(ratios).any() and np.nanmean(ratios) > limit:
-            worst = int(np.nanargmax(ratios))
+            worst, meaning = int(np.nanargmax(ratios)), within if predicts else cause
             out.append(
                 f"NRMSE{where} is {np.nanmean(ratios):.2f} × what noise alone costs, mean over {len(trials)} "
                 f"trials (limit {limit:g}; worst {trials[worst].name}, {ratios[worst]:.2f} ×): {meaning}"
@@ -110,7 +114,9 @@ def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float, *, drawn: bool
 
     What is of use has a word where predictions by draws stand behind the trials' numbers (`drawn`).
     """
-    why, (whole, early) = reasons(trials), _ratios(trials)
+    use = judged_use(((trial.numbers, trial.ends) for trial in trials), drawn=drawn)
+    why = reasons(trials, predicts=use.word == PREDICTS)
+    whole, early = _ratios(trials)
     return Overall(
         flagged=bool(why),
         reasons=list(why),
@@ -119,5 +125,5 @@ def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float, *, drawn: bool
         nrmse_fitted=nrmse_fitted,
         ratio=float(np.mean(whole)),
         ratio_third_contact=float(np.mean(early)),
-        use=judged_use(((trial.numbers, trial.ends) for trial in trials), drawn=drawn),
+        use=use,
     )

@@ -44,6 +44,8 @@ from sysid.workflows.draws import draw_values
 from sysid.workflows.options import TrustOptions
 from sysid.workflows.reopen import OpenedFit, open_fit
 
+# Error of a stated value after the fit, over the stated one, from which on the trials say nothing of it [1].
+_UNSEEN = 0.97
 # What makes single trials stand out of a fit that noise does not explain.
 _MISSING_TERM = "a term that the model lacks does that: try sysid explain first"
 _WRONG_STATEMENT = "what the campaign states wrongly does that: correct it first"
@@ -153,7 +155,12 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
             if name in problem.names
             for t in [problem.names.index(name)]
         ],
-        notes=_notes(len(problem.trials), boot, opened.whole.campaign.fit.exact),
+        notes=_notes(
+            len(problem.trials),
+            boot,
+            opened.whole.campaign.fit.exact,
+            [story.keys.get(row.name, row.name) for row in inquiry.stated if row.sigma > _UNSEEN * row.error],
+        ),
         spread=_spread(opened.result),
         bootstrap=boot_record,
         evaluations=evaluations,
@@ -267,8 +274,11 @@ def _notice_trials(
             doubts[rows[i].name].append(f"it goes elsewhere without {names[t]}")
 
 
-def _notes(trials: int, boot: Solved | None, exact: bool) -> list[str]:
-    """Return what the numbers leave out, one sentence each; `exact` is whether stated values are."""
+def _notes(trials: int, boot: Solved | None, exact: bool, unseen: Sequence[str]) -> list[str]:
+    """Return what the numbers leave out, one sentence each.
+
+    `exact` is whether stated values are; `unseen` are those of which the trials say nothing.
+    """
     out = []
     if boot is None and trials < FEWEST:
         count = {1: "a single trial", 2: "two trials"}[trials]
@@ -285,6 +295,11 @@ def _notes(trials: int, boot: Solved | None, exact: bool) -> list[str]:
         out.append(
             "all intervals: what the campaign states is taken as exact; without --exact it moves within its "
             "errors"
+        )
+    if unseen:
+        out.append(
+            f"as stated, because the trials say nothing of it: {', '.join(dict.fromkeys(unseen))}; what "
+            "scales with it is off as it is"
         )
     return out
 

@@ -61,6 +61,8 @@ def test_a_good_labs_errors_are_fitted(campaign, seed):
     for name in ("foot_dx", "foot_dz", "body_inertia"):
         assert by_name[name].sigma < 0.35 * by_name[name].error
         assert by_name[name].fitted == pytest.approx(true[name], abs=3 * by_name[name].sigma)
+    # All forces and stiffnesses scale with the mass.
+    assert any("say nothing of it: body_mass" in note for note in trust.notes)
     # With seed 3 the friction is drawn 3.3 standard errors off, which is named.
     for row in trust.stated:
         assert not row.contradicted or abs(true[row.name] - row.stated) > 3 * row.error
