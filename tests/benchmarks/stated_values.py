@@ -15,7 +15,7 @@ gross one is of Kv. Measured on 2026-11-28, one run of the search in every fit:
 | good | 1-20 | 19 | 151 of 160 | k_h 1.4, k_t 2.1, dx_j 0.3 | 1 |
 | good --exact | 1-10 | 0 | 76 of 80 | k_h 22, k_t 5.9, dx_j 2.9 | |
 | good --times 3 | 1-10 | 8 | 72 of 80 | k_h 2.3, k_t 3.4, dx_j 0.6 | 10 |
-| good --law hf | 1-10 | 9 | 116 of 120 | k_h 1.7, k_t 1.1, dx_j 0.5 | 1 |
+| good --law hf | 1-10 | 9 | 116 of 120 | k_h 1.4, k_t 1.0, dx_j 0.4 | 1 |
 | good --law motor | 201-220 | 20 | 92 of 100 | R 2.4, L 2.4 | 0 |
 | good --law motor --exact | 201-210 | 1 | 33 of 50 | R 2.5, L 3.4 | |
 | foreign | 101-120 | 5 | 153 of 160 | k_h 2.4, k_t 3.4, dx_j 0.7 | 1 |
