@@ -89,20 +89,22 @@ def compare_values(
     sets: Sequence[ParameterSets],
     documents: Sequence[TrustDocument | None],
     correlations: Sequence[FloatArray | None],
+    shifts: Sequence[Mapping[str, float]] = (),
 ) -> list[Difference]:
     """Return the difference of every free parameter that two fits share; `names` are the fits'.
 
     The half-widths of the two intervals, on the sides that face each other, add as the root of their squares,
     less what both errors have in common: the error of a value that both campaigns state alike moves both
-    fits. `correlations` (n, n) are of the free parameters and stated values of each document. Without a
-    document of intervals only the spread of the sets is known, which judges nothing: runs that reach one
-    optimum agree whatever the data leave open. Values that neither fit has found are not compared.
+    fits. `correlations` (n, n) are of the free parameters and stated values of each document, `shifts` as for
+    `known_values`. Without a document of intervals only the spread of the sets is known, which judges
+    nothing: runs that reach one optimum agree whatever the data leave open. Values that neither fit has found
+    are not compared.
     """
     known = [document.by_name if document else {} for document in documents]
     out = []
     parts = [
-        _parts(document, rho) if document and rho is not None else {}
-        for document, rho in zip(documents, correlations, strict=True)
+        _parts(document, rho, moved) if document and rho is not None else {}
+        for document, rho, moved in zip(documents, correlations, shifts or [{}] * len(names), strict=True)
     ]
     for pair in combinations(range(len(sets)), 2):
         fits = [names[k] for k in pair]
@@ -150,7 +152,7 @@ def compare_values(
 
 
 def _parts(
-    document: TrustDocument, correlation: FloatArray
+    document: TrustDocument, correlation: FloatArray, moved: Mapping[str, float]
 ) -> dict[str, dict[tuple[str, float, float], float]]:
     """Return the part of every parameter's error that each stated value's error makes up [1].
 
@@ -159,7 +161,9 @@ def _parts(
     count = len(document.parameters)
     return {
         row.name: {
-            (value.name, value.stated, value.error): float(rho) * value.sigma / value.error
+            (value.name, value.stated + moved.get(value.name, 0.0), value.error): float(rho)
+            * value.sigma
+            / value.error
             for rho, value in zip(across[count:], document.stated, strict=True)
             if not (value.contradicted or value.name.endswith("]"))
         }

@@ -80,7 +80,8 @@ def compare_fits(
             None if document is None else read_arrays(fit.folder, TRUST).get("correlation")
             for fit, document in zip(opened, documents, strict=True)
         ]
-        differences = compare_values(names, sets, documents, correlations)
+        shifts = [fit.problem.shifts(opened[0].result) for fit in opened]
+        differences = compare_values(names, sets, documents, correlations, shifts)
         table, overlaid = _cross(opened, names, threads) if cross else (None, [[] for _ in opened])
     lines = [row.sentence for row in differences if row.differs]
     lines += unjudged(differences)
@@ -95,9 +96,7 @@ def compare_fits(
         fits=names,
         kind=kinds[0],
         laws=laws if len(set(laws)) > 1 else [],
-        known=known_values(
-            [fit.space for fit in opened], [fit.problem.shifts(opened[0].result) for fit in opened]
-        ),
+        known=known_values([fit.space for fit in opened], shifts),
         differences=differences,
         cross=None if table is None else table.tolist(),
         sentences=lines,

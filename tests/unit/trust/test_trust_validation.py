@@ -161,8 +161,12 @@ def test_an_error_that_both_campaigns_share_makes_no_difference(stated, error, c
     ]
     documents = [_document(1.0, 0.0, 1.3, stated=values[:1]), _document(2.0, 1.6, 9.0, stated=values[1:])]
     sets = [_sets("a", 1.0), _sets("b", 2.0)]
-    found = compare_values(("a", "b"), sets, documents, 2 * [np.array([[1.0, 0.8], [0.8, 1.0]])])[0]
+    rho = 2 * [np.array([[1.0, 0.8], [0.8, 1.0]])]
+    found = compare_values(("a", "b"), sets, documents, rho)[0]
     assert found.allowed == pytest.approx(math.sqrt(0.25 - 2 * common * 0.3 * 0.4))
+    # A place that both state as 0 from where they state it is another one if they state it elsewhere.
+    found = compare_values(("a", "b"), sets, documents, rho, [{}, {name: 0.05}])[0]
+    assert found.allowed == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(
