@@ -21,7 +21,7 @@ from sysid.errors import FitError, LogError, SysidWarning, printable
 
 Severity = Literal["note", "warning"]
 # First words of the codes of findings about a campaign that contradicts its logs, or an impossible vehicle.
-_MISSTATED = ("contradicts-", "odd-")
+MISSTATED = ("contradicts-", "odd-")
 # Called with one sentence at a time.
 Say = Callable[[str], None] | None
 
@@ -161,7 +161,7 @@ class Journal:
             self.trials = trials
         waiting, self._waiting = self._waiting, []
         # Misstated values of the campaign come before their symptoms.
-        for finding in sorted(folded(waiting), key=lambda one: not one.code.startswith(_MISSTATED)):
+        for finding in sorted(folded(waiting), key=lambda one: not one.code.startswith(MISSTATED)):
             self._findings.append(finding)
             self._print(finding)
 
@@ -178,7 +178,7 @@ class Journal:
     @property
     def misstated(self) -> list[str]:
         """What the logs contradict in the campaign, or no vehicle can be, as sentences."""
-        return [str(finding) for finding in self.findings if finding.code.startswith(_MISSTATED)]
+        return [str(finding) for finding in self.findings if finding.code.startswith(MISSTATED)]
 
     @contextmanager
     def blaming(self) -> Iterator[None]:

@@ -26,9 +26,9 @@ from pydantic import ConfigDict, Field
 
 from sysid.documents import Document, OpenMapping, Part
 from sysid.errors import FitError
-from sysid.fit.adequacy import Adequacy
+from sysid.fit.adequacy import NOT_BY, Adequacy
 from sysid.fit.provenance import CampaignFile
-from sysid.journal import notice
+from sysid.journal import MISSTATED, notice
 from sysid.parameter_sets import ACCUSED, INTERVALS, PREDICTS, STATED, Flags, Judged, Pair, SetsContent
 from sysid.recording import file_sha256
 from sysid.storage import FileKind, datasets, put, write_files
@@ -547,6 +547,13 @@ def stating_intervals(sets: Sets, document: TrustDocument, use: Use | None = Non
     settled = {one["sentence"] for one in findings if one["code"] == "not-assessed"}
     warnings = dict.fromkeys((*sets.warnings, *document.warnings))
     accused = [sentence for one in document.suspects for sentence in one.sentences]
+    if not accused and document.adequacy and document.adequacy.verdict == NOT_BY:
+        # What the logs contradict in the campaign is the likeliest cause.
+        accused = [
+            ": ".join([*one.get("trials", ()), one["sentence"]])
+            for one in findings
+            if one["code"].startswith(MISSTATED)
+        ]
     settings = {**sets.settings, INTERVALS: {**sets.settings.get(INTERVALS, {}), **rows}}
     if document.stated:
         fields = {"unit", "stated", "error", "fitted", "sigma", "pull"}
