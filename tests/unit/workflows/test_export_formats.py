@@ -16,8 +16,9 @@ from fakes.places import SAMPLES
 from fakes.sets import made_sets
 from sysid.errors import ExportError
 from sysid.export import export, load_parameter_sets
+from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy
 from sysid.fit.store import write_fit
-from sysid.parameter_sets import ParameterRecord, ParameterSets
+from sysid.parameter_sets import ACCUSED, ParameterRecord, ParameterSets
 from sysid.trust.documents import FreeParameter, TrustDocument, stating_intervals
 
 SUFFIXES = ["json", "csv", "h5", "mat"]
@@ -283,3 +284,12 @@ def test_a_parameter_that_data_may_only_bound_has_no_digits_until_it_has_an_inte
     assessed = stating_intervals(sets, TrustDocument.model_construct(parameters=[bound], warnings=[]))
     assert (assessed.known[name].instead, assessed.known[name].text()) == ("≤ 7e+03", "—")
     assert assessed.warnings == ("dust",)
+
+
+@pytest.mark.parametrize(("verdict", "said"), [(NOT_BY, ["drop-3: the log shows -z"]), (EXPLAINED_BY, None)])
+def test_what_a_log_contradicts_is_accused_where_noise_does_not_explain_the_fit(verdict, said):
+    finding = {"code": "contradicts-down-slope", "sentence": "the log shows -z", "trials": ["drop-3"]}
+    sets = made_sets(provenance={"findings": [finding, {**finding, "code": "roll-matters"}]})
+    judged = Adequacy.model_construct(verdict=verdict)
+    document = TrustDocument.model_construct(parameters=[], warnings=[], suspects=[], adequacy=judged)
+    assert stating_intervals(sets, document).settings.get(ACCUSED) == said
