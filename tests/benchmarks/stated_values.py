@@ -18,7 +18,7 @@ gross one is of Kv. Measured on 2026-11-28, one run of the search in every fit:
 | good --law hf | 1-10 | 9 | 116 of 120 | k_h 1.4, k_t 1.0, dx_j 0.4 | 1 |
 | good --law motor | 201-220 | 20 | 92 of 100 | R 2.4, L 2.4 | 0 |
 | good --law motor --exact | 201-210 | 1 | 33 of 50 | R 2.5, L 3.4 | |
-| foreign | 101-120 | 5 | 153 of 160 | k_h 2.4, k_t 3.4, dx_j 0.7 | 1 |
+| foreign | 101-120 | 5 | 156 of 160 | k_h 3.0, k_t 3.9, dx_j 0.4 | 1 |
 
 | gross errors | seeds | named | all named | the truth in printed intervals | intervals with the truth |
 |---|---|---:|---:|---:|---:|
