@@ -24,7 +24,7 @@ class Swap:
     exchanged: tuple[tuple[Place, Place], ...] = ()
     negated: tuple[Place, ...] = ()
     moved: tuple[tuple[Place, float], ...] = ()
-    # What is to be corrected, where no key of the campaign is wrong.
+    # The thing to correct, in words: another one than the campaign if none of its keys is wrong.
     where: str = "the campaign"
 
     @property

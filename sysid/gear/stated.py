@@ -65,10 +65,10 @@ def with_stated(
 
 
 def without_mistake(space: SearchSpace, campaign: GearCampaign, swap: Swap) -> SearchSpace:
-    """Return the space in which the stated values are those of a campaign without a mistake.
+    """Return the space with the stated values of a campaign in which a mistake was corrected.
 
-    It is the same space where a part of the mistake is exact, moves nothing, or leaves other rows. A drop is
-    called after its log, which may have been exchanged.
+    It is the same space if a part of the mistake is exact, moves nothing, or leaves other rows. A drop keeps
+    the name of its log, because logs may have been exchanged.
     """
     names = {trial.model_dump_json(include=OF_LOG): trial.name for trial in campaign.trials}
     right = swap.undone(campaign)

@@ -13,7 +13,7 @@ import numpy as np
 from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.campaign.motor import StaticLog
 from sysid.errors import FitError, LogError
-from sysid.journal import notice
+from sysid.journal import Finding, notice
 from sysid.motor.bench_logs import (
     STATED_SIGNS,
     BenchLog,
@@ -51,6 +51,8 @@ class CurveLog:
     table: Literal["static", "no_load"]
     points: SteadyPoints
     provenance: dict[str, object]
+    # Findings of the log's reader.
+    notes: tuple[Finding, ...]
 
     @property
     def name(self) -> str:
@@ -92,7 +94,7 @@ def _curve_log(
         **({} if second is None else {"second_log": second}),
         "notes": recording.provenance.sentences,
     }
-    return CurveLog(static, table, points, provenance)
+    return CurveLog(static, table, points, provenance, recording.provenance.notes)
 
 
 def _rows_as_points(campaign: MotorCampaign, recording: Recording, direction: Rotation) -> SteadyPoints:

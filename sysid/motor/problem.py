@@ -10,6 +10,7 @@ import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +22,6 @@ from sysid.fit.compiling import tell_of_kernel
 from sysid.fit.problem import Problem
 from sysid.fit.result import FitResult
 from sysid.fit.trial import NoiseModel, Prediction, Scores, Trial
-from sysid.loaders.readers.rcbenchmark_csv import OPTICAL
 from sysid.motor import kernel
 from sysid.motor.batch import SimulatedTrials, simulate_population
 from sysid.motor.cost import CHANNELS, BenchCost, MotorTarget
@@ -45,7 +45,7 @@ _MEMORY = 4e6
 _FOLLOWS = 0.3
 # Approximate number of parts of all trials together that a ladder leaves out in turn.
 _PIECES = 12
-# Numbers of poles that are often entered wrongly, and what that divides all speeds by.
+# Wrong entries of the number of poles, and the ratio of the true speeds to the recorded ones [1].
 _WRONG_POLES = {
     "a stand set to 14 poles for a motor of 12": 14 / 12,
     "a stand set to 12 poles for a motor of 14": 12 / 14,
@@ -427,12 +427,9 @@ class MotorProblem(Problem):
         They leave torques and voltages as they are, so an inertia that is stated rightly looks wrong.
         """
         inertia = self.space.stated.get("rotor_inertia")
-        logs = [
-            *(log.provenance for log in self.bench.curves.logs),
-            *(one.provenance for one in self.prepared),
-        ]
-        notes = " ".join(str(log.get("notes", "")) for log in logs)
-        if inertia is None or OPTICAL in notes:
+        recorded = (trial.log.recording.provenance.notes for trial in self.prepared)
+        notes = chain.from_iterable([*(log.notes for log in self.bench.curves.logs), *recorded])
+        if inertia is None or any(note.code == "optical-speed" for note in notes):
             return
         for words, factor in _WRONG_POLES.items():
             title = f"all speeds {factor:.4g} times as high ({words})"

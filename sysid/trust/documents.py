@@ -548,7 +548,7 @@ def stating_intervals(sets: Sets, document: TrustDocument, use: Use | None = Non
     warnings = dict.fromkeys((*sets.warnings, *document.warnings))
     accused = [sentence for one in document.suspects for sentence in one.sentences]
     if not accused and document.adequacy and document.adequacy.verdict == NOT_BY:
-        # What the logs contradict in the campaign is the likeliest cause.
+        # A contradiction between a log and the campaign is the likeliest cause.
         accused = [
             ": ".join([*one.get("trials", ()), one["sentence"]])
             for one in findings

@@ -134,7 +134,7 @@ def stated_values(space: SearchSpace, linear: Linearized) -> list[StatedValue]:
         if gains[worst] <= limit:
             break
         near = np.flatnonzero((gains > gains[worst] - _AS_WELL) & (gains > limit))
-        # Of values that explain the trials alike, the one that is off the least stands first.
+        # Several values may explain the trials equally well: the one with the smallest error comes first.
         alike = near[gains[near] > gains[worst] - _ALIKE]
         worst = int(min(alike, key=lambda i: abs(judged.without(i).pulls[i])))
         wrong[worst] = [int(j) for j in near if j != worst]

@@ -83,7 +83,7 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
         rows = _asking(rows, freed)
         exchange = _mistake(problem, linear, as_stated if wrong else judged, least if wrong else np.inf)
         evaluations += exchange.evaluations
-        # What no key of the campaign states may be wrong as well as a value that explains the trials.
+        # A mistake outside of the campaign explains the trials as well as the value does: both are named.
         outside = exchange.names if not exchange.in_campaign else []
         findings = contradictions(rows, space, _falls(as_stated, tried[0]), outside)
         accused = [one.sentence for one in findings]
@@ -93,7 +93,7 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
         ]
         if exchange.suspect is not None and not (outside and findings):
             findings = [Finding("contradicts-swapped", exchange.suspect.sentences[0])]
-            suspects = [one.model_copy(update={"sentences": []}) for one in suspects]
+            suspects = _acquitted(suspects)
             suspects.insert(0, exchange.suspect)
             freed, way = exchange.values, f"with {exchange.suspect.names[0]}"
     if lacks and without is not None:
@@ -109,18 +109,23 @@ def put_on_trial(problem: Problem, linear: Linearized, judged: Adequacy, without
                 findings = [*again.findings, trial]
             else:
                 findings = again.findings
-                others = [one.model_copy(update={"sentences": []}) for one in others]
+                others = _acquitted(others)
             accusing = {row.name: row for row in again.stated if row.contradicted}
             rows = [accusing.get(row.name, row) for row in rows]
             others = [*(one for one in again.suspects if one.sentences), *others]
             freed, way = again.freed, again.way
             evaluations += again.evaluations
         else:
-            others = [one.model_copy(update={"sentences": []}) for one in others]
+            others = _acquitted(others)
         suspects += others
     if suspects:
         suspects.insert(0, _suspect("fit", [], judged, []))
     return Inquiry(suspects, rows, findings, freed, way, evaluations)
+
+
+def _acquitted(suspects: Sequence[Suspect]) -> list[Suspect]:
+    """Return suspects without an accusation."""
+    return [one.model_copy(update={"sentences": []}) for one in suspects]
 
 
 def _asking(rows: Sequence[StatedValue], freed: Mapping[str, float]) -> list[StatedValue]:

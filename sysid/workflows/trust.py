@@ -46,7 +46,7 @@ from sysid.workflows.reopen import OpenedFit, open_fit
 
 # Error of a stated value after the fit, over the stated one, from which on the trials say nothing of it [1].
 _UNSEEN = 0.97
-# What makes single trials stand out of a fit that noise does not explain.
+# Causes of single trials that stand out of a fit which noise does not explain, with the next step.
 _MISSING_TERM = "a term that the model lacks does that: try sysid explain first"
 _WRONG_STATEMENT = "what the campaign states wrongly does that: correct it first"
 _STATEMENT = (
@@ -240,8 +240,8 @@ def _notice_trials(
     """Notice trials that stand out or decide the fit, which the parameters that they touch then doubt.
 
     `names` are the trials'; `without` (T, n) are the parameters of the fits without each [SI]. Of a model
-    that lacks something the trials are the evidence: none is to be dropped before what does that, `why`, was
-    tried; it is empty otherwise.
+    that lacks something the trials are the evidence, and none is to be dropped: `why` then names the likelier
+    cause and the next step. It is empty otherwise.
     """
     look = 'look at it, and fit without it (use = "validate")'
     unlike, alone = f": {look}", f"; {words.misleads} does that: {look}"
@@ -277,7 +277,8 @@ def _notice_trials(
 def _notes(trials: int, boot: Solved | None, exact: bool, unseen: Sequence[str]) -> list[str]:
     """Return what the numbers leave out, one sentence each.
 
-    `exact` is whether stated values are; `unseen` are those of which the trials say nothing.
+    With `exact` the fit takes all stated values as exact. The trials do not determine the stated values that
+    `unseen` names.
     """
     out = []
     if boot is None and trials < FEWEST:

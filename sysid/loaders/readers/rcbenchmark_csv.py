@@ -44,8 +44,6 @@ _QUANTITIES = {
 }
 _MEASURED = ("torque", "thrust", "speed_electrical", "speed_optical")
 _SPEEDS = ("speed_optical", "speed_electrical")
-# What a log says of its speeds if its optical probe has seen them.
-OPTICAL = "speed is the optical one"
 _MOST_MESSAGES = 5
 _LARGEST_DSHOT = 2047.0
 # Least and largest pulse width of any speed controller [µs].
@@ -86,8 +84,8 @@ def _choose_speed(
         return electrical, [note("electrical-speed", f"speed is the electrical one{off}")]
     if electrical is None or not seen_electrical:
         off = "; the electrical probe reads zero" if seen_optical and electrical is not None else ""
-        return optical, [note("optical-speed", f"{OPTICAL}{off}")]
-    notes = [note("optical-speed", OPTICAL)]
+        return optical, [note("optical-speed", f"speed is the optical one{off}")]
+    notes = [note("optical-speed", "speed is the optical one")]
     both = (np.nan_to_num(optical) != 0) & (np.nan_to_num(electrical) != 0)
     if both.sum() >= 3:
         ratio = electrical[both] / optical[both]

@@ -175,6 +175,7 @@ def test_stated_errors_win_element_by_element(stating):
 @pytest.mark.parametrize(("key", "text", "words"), [
     ("body_mass", '"1.242 kg ± -2 g"', "vehicle.body_mass: the error in '1.242 kg ± -2 g' is negative"),
     ("body_mass", '"1.242 ± 2 kg"', "vehicle.body_mass: the error in '1.242 ± 2 kg' is larger than"),
+    ("leg_mass_fraction", '"0.5 ± 0.6"', "vehicle.leg_mass_fraction: the error in '0.5 ± 0.6' is larger"),
     ("leg_mass", '"20 ± 25 g"', "vehicle.leg_mass: the error in '20 ± 25 g' is larger"),
     ("kinetic_friction", '"0.44 ± 120 %"', "surface.kinetic_friction: the error in '0.44 ± 120 %' is larger"),
     ("foot_dx", '"105 mm ± 1 g"', "vehicle.foot_dx: the error in '105 mm ± 1 g': unit 'g' is not a 'm'"),
