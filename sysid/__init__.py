@@ -8,6 +8,7 @@
 """
 
 import os
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -39,9 +40,15 @@ if TYPE_CHECKING:
     from sysid.parameter_sets import ParameterSets as ParameterSets
 
 # A fit's matrices are small: several threads of BLAS wait for one another, take up to twice the processor
-# time, and make the last bits depend on the number of cores. Without effect where numpy is loaded already.
-for _library in ("OPENBLAS", "MKL", "VECLIB_MAXIMUM"):
-    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+# time, and make the last bits depend on the number of cores.
+_THREADS_OF_BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+if "numpy" in sys.modules and not any(name in os.environ for name in _THREADS_OF_BLAS):
+    # A library that is loaded reads no environment any more.
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1, "blas")
+for _name in _THREADS_OF_BLAS:
+    os.environ.setdefault(_name, "1")
 
 __version__ = "0.1.0"
 # Imported on first use: `import sysid` stays light.

@@ -41,6 +41,10 @@ _LEAST_CHUNK = 8
 _FIRST_CHUNK = 16
 # Number of chunks per worker: with one chunk each, workers that end early would idle.
 _CHUNKS_PER_WORKER = 2
+# Callers that compute in this process at the same time: with one, the other cores would wait for the last of
+# its jobs; each takes memory.
+_CALLERS = 2
+_computing: set[int] = set()
 # Number of shares per thread: shares cost nothing to hand out.
 _SHARES = 4
 # How often a chunk is submitted before the cluster is given up.
@@ -81,13 +85,19 @@ class Executor(ABC):
         self.close()
 
 
+def threads_for(jobs: int, threads: int | None) -> int:
+    """Return how many threads compute jobs [1], by default one per core; callers share the cores."""
+    cores = threads or os.cpu_count() or 1
+    return max(1, min(ceil(cores / max(1, len(_computing))), jobs))
+
+
 def in_threads(kernel: Callable[..., Any], jobs: int, threads: int | None, *arguments: Any) -> None:
     """Call a compiled ``kernel(first, last, *arguments)`` for all its jobs, in threads of this process.
 
     Its jobs know nothing of each other, and it was compiled to release the interpreter. By default there is
     a thread per core. Numba's own parallel loops would take two to three times as long to compile.
     """
-    workers = max(1, min(threads or os.cpu_count() or 1, jobs))
+    workers = threads_for(jobs, threads)
     # Whatever has to be compiled is compiled in this thread: Ctrl-C ends it here.
     kernel(0, 0 if workers > 1 else jobs, *arguments)
     if workers > 1:
@@ -98,30 +108,37 @@ def in_threads(kernel: Callable[..., Any], jobs: int, threads: int | None, *argu
 
 
 class LocalThreads(Executor):
-    """This process: the work itself spreads rows over the cores, so one caller at a time enters it."""
+    """This process: the work itself spreads rows over the cores that its callers leave to each other."""
 
-    # While one prepares its next rows, the other computes.
-    at_once = 2
+    # While one prepares its next rows, the others compute.
+    at_once = _CALLERS + 1
 
     def __init__(self) -> None:
-        self._turn = threading.Lock()
+        self._places = threading.Semaphore(_CALLERS)
         self._closed = False
 
     def share(self, work: Work) -> Work:
-        """Return the work, which one caller at a time can enter; raises ClosedError after `close`."""
+        """Return the work, which few callers at a time can enter; raises ClosedError after `close`."""
 
         def in_turn(rows: FloatArray) -> Columns:
-            with self._turn:
+            caller = threading.get_ident()
+            with self._places:
                 if self._closed:
                     raise ClosedError
-                return work(rows)
+                _computing.add(caller)
+                try:
+                    return work(rows)
+                finally:
+                    _computing.remove(caller)
 
         return in_turn
 
     def close(self) -> None:
-        """Wait for the caller that computes; later callers are refused."""
-        with self._turn:
-            self._closed = True
+        """Refuse later callers and wait for those that compute."""
+        self._closed = True
+        for _ in range(_CALLERS):
+            self._places.acquire()
+        self._places.release(_CALLERS)
 
 
 class DaskCluster(Executor):

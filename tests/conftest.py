@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import sysid  # noqa: F401  before numpy: one thread of BLAS, so that bits do not depend on the number of cores
+import sysid  # noqa: F401  one thread of BLAS, so that bits do not depend on the number of cores
 from fakes.places import SAMPLES
 
 # Processes that a test starts find `fakes` and this checkout as the test itself does.

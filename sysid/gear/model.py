@@ -42,7 +42,6 @@ momentum.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -60,6 +59,7 @@ from sysid.gear.kernel import parameter_row
 from sysid.gear.parameters import PARAMETERS
 from sysid.gear.propulsion import Propulsion, plans
 from sysid.gear.surfaces import SURFACES, Surface, find_surface
+from sysid.parallel import threads_for
 from sysid.parameters import ParameterTable
 from sysid.shown import Brief
 from sysid.types import FloatArray, IntArray
@@ -492,25 +492,23 @@ def _run(
     drive = _driver(_LANES, surface, bool(np.any(kernel_rows[:, first:last])))
     # A method of order 3 takes tolerance**(-1/3) more steps.
     cost = surface.budget * max(1.0, surface.tolerance / tolerance) ** (1 / 3)
-    workers = max(1, min(threads or os.cpu_count() or 1, count * width))
-    # Four shares per thread, dealt out drop by drop so that all cost alike; idle cores take the rest.
-    shares = 1 if workers == 1 else 4 * workers
-    deck = np.arange(count * width, dtype=np.int64).reshape(count, width).T.ravel()
+    workers = threads_for(count * width, threads)
+    # Drop by drop, so that lanes side by side cost alike.
+    jobs = np.arange(count * width, dtype=np.int64).reshape(count, width).T.ravel()
+    handed = np.zeros(1, dtype=np.int64)
 
-    def work(share: int) -> None:
-        jobs = np.ascontiguousarray(deck[share::shares])
-        if len(jobs):
-            drive(
-                kernel_rows, slopes, *start, drops.clock, drops.offset, drops.segments, drops.plans,
-                jobs, tolerance, _LONGEST_STEP, cost, ending.packed, samples, reached, status, spent,
-                switches, moments, states, marks,
-            )  # fmt: skip
+    def work(_: int) -> None:
+        drive(
+            kernel_rows, slopes, *start, drops.clock, drops.offset, drops.segments, drops.plans,
+            jobs, handed, tolerance, _LONGEST_STEP, cost, ending.packed, samples, reached, status, spent,
+            switches, moments, states, marks,
+        )  # fmt: skip
 
     if workers == 1:
         work(0)
     else:
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(work, range(shares)))
+            list(pool.map(work, range(workers)))
     return PopulationSamples(
         samples=samples,
         reached=reached,

@@ -6,7 +6,6 @@ after it with all other values fixed, takes no part in trust.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -31,6 +30,7 @@ from sysid.motor.model import PARAMETERS
 from sysid.motor.parameters import LOAD_CELLS, SENSORS
 from sysid.motor.static_curves import MEASURED_CURVE, MeasuredCurve, NoLoadTie, no_load_line
 from sysid.motor.targets import PreparedTrial, measured_spectrum
+from sysid.parallel import threads_for
 from sysid.parameters import Parameter, SearchSpace
 from sysid.stated import Stated
 from sysid.trials.bench_log import STANDS
@@ -255,8 +255,8 @@ class MotorProblem(Problem):
 
     def parts(self, count: int) -> list[slice]:
         """Return the parts in which candidates are simulated, one candidate per thread or more."""
-        threads = self.threads or os.cpu_count() or 1
-        share = max(1, threads, int(threads * _MEMORY / (16 * self.jobs.time.size)))
+        threads = threads_for(count, self.threads)
+        share = max(threads, int(threads * _MEMORY / (16 * self.jobs.time.size)))
         return [slice(first, min(first + share, count)) for first in range(0, count, share)]
 
     def nrmse(self, rows: FloatArray) -> FloatArray:

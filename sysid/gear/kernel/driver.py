@@ -27,6 +27,7 @@ from sysid.gear.kernel import terms
 from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.geometry import normal_force
 from sysid.gear.kernel.lane import (
+    FREE,
     MOTION,
     TURN,
     assign,
@@ -37,6 +38,7 @@ from sysid.gear.kernel.lane import (
     idle,
     load,
     locate,
+    next_in_line,
     sample,
     thrust_segment,
 )
@@ -133,10 +135,12 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
     modes = surface.switching
 
     def drive(
-        parameters, slope, body, legs, clock, offset, segments, plans, jobs, tolerance, h_max, cost, ending,
-        samples, reached, status, spent, switches, moments, states, marks,
+        parameters, slope, body, legs, clock, offset, segments, plans, jobs, handed, tolerance, h_max, cost,
+        ending, samples, reached, status, spent, switches, moments, states, marks,
     ):  # fmt: skip
         """Integrate jobs (n,) (candidate * drops + drop) and sample them on their drop's clock.
+
+        Calls from several threads that share `handed` (1,), how many jobs are handed out, share the jobs.
 
         Parameters
         ----------
@@ -174,7 +178,6 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
         ends = ends_at > 0.0
         logs = 1.0 if len(marks) > 0 else 0.0
         drops = slope.shape[1]
-        # Every lane is loaded, with a job or idle.
         work, origin = np.empty(at.ROWS * lanes), np.empty(lanes)
         job, cursor = np.empty(lanes, np.int64), np.empty(lanes, np.int64)
         segment = np.empty(lanes, np.int64)
@@ -182,19 +185,28 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
         # Arguments that are constants would have numba compile what takes them once for every value.
         to_turn, to_rest = np.int64(TURN), np.int64(MOTION)
         flip, rest, whole = np.int64(FLIP), np.int64(REST), np.int64(BODY)
-        waiting = 0
-        active = 0
         marked = np.int64(0)
-        for lane in range(lanes):
-            number = jobs[min(waiting, len(jobs) - 1)]
-            load(number, parameters, slope, body, legs, segments, plans, segment, origin, work, lane, lanes)
-            if waiting < len(jobs):
-                assign(number, lane, job, cursor, clock, offset, cost, work)
-                waiting += 1
-                active += 1
-            else:
-                idle(lane, job, work)
-        while active > 0:
+        job[:] = FREE
+        active = free = lanes
+        while True:
+            if free > 0:
+                for lane in range(lanes):
+                    if job[lane] != FREE:
+                        continue
+                    place = next_in_line(handed)  # type: ignore[call-arg,var-annotated]
+                    number = jobs[min(place, len(jobs) - 1)]
+                    load(
+                        number, parameters, slope, body, legs, segments, plans, segment, origin,
+                        work, lane, lanes,
+                    )  # fmt: skip
+                    if place < len(jobs):
+                        assign(number, lane, job, cursor, clock, offset, cost, work)
+                    else:
+                        idle(lane, job, work)
+                        active -= 1
+                free = 0
+                if active == 0:
+                    break
             for lane in range(lanes):
                 evaluate(work, 1, lane, lanes)
             for lane in range(lanes):
@@ -380,26 +392,15 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
                     sample(work, lane, lanes, share, states[candidate, drop, AT_END])
                     status[candidate, drop] = code
                     spent[candidate, drop] = np.int64(work[at.COUNT * lanes + lane])
-                    if waiting < len(jobs):
-                        number = jobs[waiting]
-                    load(
-                        number, parameters, slope, body, legs, segments, plans, segment, origin,
-                        work, lane, lanes,
-                    )  # fmt: skip
-                    work[at.TAKEN * lanes + lane] = -1.0
-                    if waiting < len(jobs):
-                        assign(number, lane, job, cursor, clock, offset, cost, work)
-                        waiting += 1
-                    else:
-                        idle(lane, job, work)
-                        active -= 1
+                    job[lane] = FREE
+                    free += 1
             for lane in range(lanes):
                 taken = work[at.TAKEN * lanes + lane]
                 h = work[at.STEP * lanes + lane]
                 work[at.TIME * lanes + lane] = work[at.TIME * lanes + lane] + (h if taken > 0.0 else 0.0)
-                work[at.STEP * lanes + lane] = work[at.NEW_STEP * lanes + lane] if taken >= 0.0 else 0.0
+                work[at.STEP * lanes + lane] = work[at.NEW_STEP * lanes + lane]
                 fresh = work[at.FRESH * lanes + lane]
-                fresh = 0.0 if taken >= 0.0 and fresh == 1.0 else fresh
+                fresh = 0.0 if fresh == 1.0 else fresh
                 if modes:
                     switched = work[at.SWITCH * lanes + lane] + work[(at.SWITCH + 1) * lanes + lane]
                     fresh = 1.0 if switched > 0.0 and fresh == 0.0 else fresh

@@ -1,6 +1,8 @@
 """Work on one lane (one simulation's place in the buffer): loading start and thrust, reading a step."""
 
 import numpy as np
+from numba.core.types import int64
+from numba.extending import intrinsic
 
 from sysid.gear.kernel import work_buffer as at
 from sysid.gear.kernel.dynamics import derived, feet, pose
@@ -20,6 +22,19 @@ from sysid.integrate.tableau import STAGES
 # Quantities whose zero `locate` finds: penetration of the rear and of the front foot [m], angle between body
 # and slope beyond the flip angle [rad], and speed or turn rate over its limit at rest, less 1 [1].
 REAR_FOOT, FRONT_FOOT, TURN, MOTION = range(4)
+# What stands for a job's number in a lane that takes the next one, and in one for which none is left.
+FREE, IDLE = -1, -2
+
+
+@intrinsic
+def next_in_line(typing, counter):
+    """The number that a counter (1,) shows before it is raised by one: no two threads get the same."""
+
+    def generate(context, builder, signature, arguments):
+        array = context.make_array(counter)(context, builder, arguments[0])
+        return builder.atomic_rmw("add", array.data, context.get_constant(int64, 1), "monotonic")
+
+    return int64(counter), generate
 
 
 @fused
@@ -125,7 +140,7 @@ def assign(number, lane, job, cursor, clock, offset, cost, work):
 def idle(lane, job, work):
     """Let a lane without a job take tiny steps from its start: its numbers stay finite and are not used."""
     lanes = len(job)
-    job[lane] = -1
+    job[lane] = IDLE
     work[at.NEXT * lanes + lane] = np.inf
     work[at.LIMIT * lanes + lane] = np.inf
     work[at.FRESH * lanes + lane] = 2.0

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -25,7 +26,15 @@ from sysid.fit.settings import SearchSettings
 from sysid.gear.drops import prepare_drops
 from sysid.gear.problem import GearProblem, gear_space
 from sysid.journal import Journal
-from sysid.parallel import ClosedError, ClusterError, DaskCluster, LocalThreads, chunk_size, executor
+from sysid.parallel import (
+    ClosedError,
+    ClusterError,
+    DaskCluster,
+    LocalThreads,
+    chunk_size,
+    executor,
+    threads_for,
+)
 
 HERE = str(Path(__file__).parent)
 SETTINGS = SearchSettings(40, 3, 5, 10, "ga", "cmaes")
@@ -106,7 +115,7 @@ def test_local_gives_the_objectives_numbers(gear):
     assert a.simulations == b.simulations
 
 
-def test_local_work_is_entered_by_one_caller_at_a_time():
+def test_local_work_is_entered_by_two_callers_at_a_time():
     inside, most = [], []
 
     def work(rows):
@@ -116,10 +125,21 @@ def test_local_work_is_entered_by_one_caller_at_a_time():
         inside.pop()
         return (rows[:, 0],)
 
+    both = threading.Barrier(2)
+
+    def cores(rows):
+        both.wait(timeout=10)
+        threads = threads_for(100, 4)
+        both.wait(timeout=10)
+        return (np.full(len(rows), threads),)
+
     with LocalThreads() as where, ThreadPoolExecutor(4) as pool:
+        # Callers leave each other a share of the cores.
+        (first,), (second,) = pool.map(where.share(cores), np.zeros((2, 1, 1)))
+        assert (first, second, threads_for(100, 4)) == (2, 2, 4)
         shared = (where.share(work), where.share(work))
         out = list(pool.map(lambda i: shared[i % 2](np.full((2, 1), float(i))), range(8)))
-    assert max(most) == 1
+    assert max(most) == 2
     assert [float(column[0]) for (column,) in out] == list(range(8))
     # A run that has been called off may still ask.
     with pytest.raises(ClosedError):

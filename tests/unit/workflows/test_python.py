@@ -4,6 +4,7 @@ import dataclasses
 import doctest
 import inspect
 import math
+import os
 import re
 import signal
 import subprocess
@@ -422,3 +423,17 @@ def test_maps_are_tables_and_pictures(tmp_path):
     assert maps.save(tmp_path / "map.h5").is_file()
     with pytest.raises(sysid.SysidError, match="exists"):
         maps.save(tmp_path / "map.h5")
+
+
+@pytest.mark.parametrize("order", ["import sysid, numpy", "import numpy, sysid"])
+@pytest.mark.parametrize(("stated", "expected"), [({}, {1}), ({"OPENBLAS_NUM_THREADS": "2"}, {2})])
+def test_blas_has_one_thread_unless_the_environment_says_another_number(order, stated, expected):
+    others = {name: value for name, value in os.environ.items() if not name.endswith("_THREADS")}
+    lines = (
+        f"{order}, scipy.linalg, threadpoolctl",
+        "print({found['num_threads'] for found in threadpoolctl.threadpool_info()})",
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], env=others | stated, capture_output=True, text=True
+    )
+    assert done.stdout.strip() == str(expected), done.stderr
