@@ -36,8 +36,10 @@ _AS_WELL = 6.0
 _OFF = 3.0
 # Share of the misfit from which on it does not fall.
 _NO_FALL = 0.99
-# Number of iterations of a fit without a statement.
-_ITERATIONS = 15
+# Number of iterations of a fit without a statement, and of one that shows whether a mistake is worth a fit.
+_ITERATIONS, _FIRST = 15, 4
+# Largest sum of squares after these, over that of the fit as stated [1].
+_HOPELESS = 2.0
 # Least misfit of a bad trial as the fit of the others predicts it [noise].
 _UNLIKE = 3.0
 
@@ -182,14 +184,20 @@ def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: floa
     cost = problem.cost.mean(problem.score(np.array(rows)).by_channel)
     best, values, evaluations, in_campaign = None, dict[str, float](), len(rows), True
     least += _AS_WELL * float(linear.scale[-1]) ** 2
+    residuals, _ = problem.residuals(linear.point[None])
+    as_stated = float(np.sum((residuals[0] * linear.scale) ** 2))
     for k in np.argsort(cost)[:_ALONE]:
         other = replace(problem, space=spaces[k])  # type: ignore[type-var]
-        start = spaces[k].encode(rows[k][spaces[k].columns])
-        solved = solve(
-            other, np.clip(start, 0.0, 1.0)[None], linear.scale, rise=linear.jacobian.rise,
-            tolerance=linear.tolerance, iterations=_ITERATIONS,
-        )  # fmt: skip
-        evaluations += solved.evaluations
+        points = np.clip(spaces[k].encode(rows[k][spaces[k].columns]), 0.0, 1.0)[None]
+        for iterations in (_FIRST, _ITERATIONS):
+            solved = solve(
+                other, points, linear.scale, rise=linear.jacobian.rise, tolerance=linear.tolerance,
+                iterations=iterations,
+            )  # fmt: skip
+            points = solved.points
+            evaluations += solved.evaluations
+            if solved.squares[0] > _HOPELESS * as_stated:
+                break
         after = adequacy(other, spaces[k].full(solved.points)[0])
         if after.verdict == EXPLAINED_BY and solved.squares[0] < least:
             least = float(solved.squares[0])

@@ -45,7 +45,7 @@ from sysid.gear.kernel.lane import (
 from sysid.gear.kernel.parameter_row import THRUST_POINT_DX
 from sysid.gear.kernel.stage import law_at
 from sysid.gear.surfaces.surface import Surface, law_text, specialized
-from sysid.integrate.fused import INSIDE, chosen, fused, part
+from sysid.integrate.fused import INSIDE, chosen, fused, part, whole_vectors
 from sysid.integrate.tableau import STAGES, E
 from sysid.types import Compiled
 
@@ -174,6 +174,7 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
         """
         if sources < 0:  # keeps the sources' hash in the key of the cached code
             return
+        whole_vectors()  # type: ignore[call-arg]
         ends_at, rest_speed, rest_turn, rest_time, flip_angle = ending
         ends = ends_at > 0.0
         logs = 1.0 if len(marks) > 0 else 0.0
@@ -193,7 +194,7 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
                 for lane in range(lanes):
                     if job[lane] != FREE:
                         continue
-                    place = next_in_line(handed)  # type: ignore[call-arg,var-annotated]
+                    place = next_in_line(handed)
                     number = jobs[min(place, len(jobs) - 1)]
                     load(
                         number, parameters, slope, body, legs, segments, plans, segment, origin,
