@@ -11,7 +11,8 @@ The finisher minimizes the mean NRMSE ``C = sum_k w_k s_k`` over blocks k (a cha
 residuals r in units of what NRMSE divides by, ``s_k <= s_k'/2 + mean(r_k²)/(2 s_k')`` with equality and equal
 gradient at ``s_k' = s_k``: a sum of squares weighted by the blocks' present scores descends where C does.
 After the third contact of a drop the cost is rough, and a fit of the whole window stops in the first dent.
-The finisher therefore begins with the first part of every trial's window and lets it grow.
+The finisher therefore begins with the first part of every trial's window and lets it grow. Where the model is
+wrong, that may lead away from the best fit of the whole, so a second finisher begins with whole windows.
 """
 
 from __future__ import annotations
@@ -308,7 +309,8 @@ class MeanNrmse:
 
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
-STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
+STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 2, 6, False), (1.0, 1, 8, True))
+_WHOLE = ((1.0, 4, 8, False), (1.0, 1, 8, True))
 # The first windows were fitted with stated values as they are stated. Where these were wrong, a later bounce
 # may have ended in a dent, so the best front walks again with what it made of them.
 _AGAIN = ((0.25, 1, 5, False), (0.5, 1, 5, False), (0.75, 1, 5, False), (1.0, 1, 6, False))
@@ -317,20 +319,24 @@ _DENT = 2.0
 
 
 class LeastSquares(Breeder):
-    """Least squares from the best distinct points of a population, over windows that grow."""
+    """Least squares from the best distinct points of a population."""
 
     needs_residuals = True
 
-    def __init__(self, objective: Problem, cube: FloatArray, cost: FloatArray) -> None:
-        """Begin at the best of a population: points (P, n_free) and costs (P,), best first."""
+    def __init__(self, objective: Problem, cube: FloatArray, cost: FloatArray, whole: bool = False) -> None:
+        """Begin at the best of a population: points (P, n_free) and costs (P,), best first.
+
+        With `whole` windows from the beginning.
+        """
         self._objective = objective
-        self._fronts = Fronts.at(_distinct(cube, STAGES[0][1]))
+        self._stages = _WHOLE if whole else STAGES
+        self._fronts = Fronts.at(_distinct(cube, self._stages[0][1]))
         self._scored = {point.tobytes(): float(value) for point, value in zip(cube, cost, strict=True)}
         self._walk = self._staged()
         self._asked: FloatArray | None = next(self._walk)
 
     def _staged(self) -> Walk:
-        yield from self._through(STAGES, self._fronts)
+        yield from self._through(self._stages, self._fronts)
         if not self._objective.space.stated:
             return
         self._fronts.sort()

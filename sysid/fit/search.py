@@ -45,10 +45,10 @@ FINISH_POPULATION = 64
 # Population of CMA-ES after least squares, and of a search of few parameters: the axes of the cost are known,
 # so a small population has to learn no others.
 ROUGH_POPULATION = 16
-# Generations of the first stage that least squares needs to find its starts.
-_FIRST_GENERATIONS = 3
+# Generations that least squares needs to find its starts; for whole windows of a wrong model it needs more.
+_FIRST_GENERATIONS, _MORE_GENERATIONS = 3, 10
 # Cumulative share of the budget that each non-final stage may use [1], without and with least squares.
-_SHARES, _FAST_SHARES = (0.6, 0.8), (0.3, 0.5, 0.8)
+_SHARES, _FAST_SHARES = (0.6, 0.8), (0.2, 0.4, 0.5, 0.7)
 # NRMSE over noise up to which nothing but noise is left [1]: CMA-ES after least squares takes 1e-5 off such a
 # fit, and up to 0.3 % off one at 1.1.
 _ALL_BUT_NOISE = 1.05
@@ -123,6 +123,7 @@ class _Run:
             self.best = self.checkpoint.best(self.run, n_free)
         stages: list[StageHistory] = []
         start: Start | None = None
+        ends: list[tuple[float, Start]] = []  # of least squares
         cut: StopReason | None = None
         left = list(self.settings.stages)
         if space.stated and "least-squares" not in left and self.settings.finish != "none":
@@ -139,7 +140,10 @@ class _Run:
             else:
                 if name == "least-squares":
                     population = 0
-                    bred: Breeder = LeastSquares(self.objective, stages[-1].cube[-1], stages[-1].cost[-1])
+                    before = stages[-1]
+                    bred: Breeder = LeastSquares(
+                        self.objective, before.cube[-1], before.cost[-1], whole=bool(ends)
+                    )
                 else:
                     small = self.first_generations or (start is not None and start.axes is not None)
                     finishing = ROUGH_POPULATION if small else FINISH_POPULATION
@@ -162,11 +166,14 @@ class _Run:
             if stage.stop_reason == "interrupted":
                 break
             if name == "least-squares" and not space.stated:
-                over = float(stage.cost.min()) / noise_floor(self.objective.blocks)
-                # If more is left than noise, the search goes on as if least squares had not been tried; if a
-                # little more, the cost is rough and CMA-ES goes on from there.
-                left += [self.settings.algorithm] * (stage.stop_reason == "unexplained")
-                left += ["cmaes"] * (over > _ALL_BUT_NOISE)
+                ends.append((float(stage.cost.min()), start))
+                least, start = min(ends, key=lambda end: end[0])
+                if stage.stop_reason == "unexplained" and len(ends) == 1:
+                    # What suits the first part of a window may lead a wrong model astray.
+                    left += [self.settings.algorithm, name]
+                elif least > _ALL_BUT_NOISE * noise_floor(self.objective.blocks):
+                    # The cost is rough: CMA-ES goes on from there.
+                    left.append("cmaes")
         # The run was farther when it was killed or stopped before.
         if cut and self.best is not None and self.best.cost.min() < min(stage.cost.min() for stage in stages):
             stages.append(replace(self.best, stop_reason=cut))
@@ -191,7 +198,7 @@ class _Run:
             limits = replace(
                 limits, stop_reading="relative", stop_window=window, stop_tolerance=CMAES_TOLERANCE
             )
-        elif number == 0 and (few := self.first_generations or _FIRST_GENERATIONS * fast):
+        elif few := self.first_generations or fast * (_MORE_GENERATIONS if number else _FIRST_GENERATIONS):
             limits = replace(limits, max_generations=min(limits.max_generations, few))
         return limits
 
