@@ -309,7 +309,7 @@ class MeanNrmse:
 
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
-STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 2, 6, False), (1.0, 1, 8, True))
+STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
 _WHOLE = ((1.0, 4, 8, False), (1.0, 1, 8, True))
 # The first windows were fitted with stated values as they are stated. Where these were wrong, a later bounce
 # may have ended in a dent, so the best front walks again with what it made of them.

@@ -48,7 +48,7 @@ ROUGH_POPULATION = 16
 # Generations that least squares needs to find its starts; for whole windows of a wrong model it needs more.
 _FIRST_GENERATIONS, _MORE_GENERATIONS = 3, 10
 # Cumulative share of the budget that each non-final stage may use [1], without and with least squares.
-_SHARES, _FAST_SHARES = (0.6, 0.8), (0.2, 0.4, 0.5, 0.7)
+_SHARES, _FAST_SHARES = (0.6, 0.8), (0.3, 0.5, 0.6, 0.8)
 # NRMSE over noise up to which nothing but noise is left [1]: CMA-ES after least squares takes 1e-5 off such a
 # fit, and up to 0.3 % off one at 1.1.
 _ALL_BUT_NOISE = 1.05
