@@ -49,8 +49,6 @@ from sysid.types import FloatArray, IntArray
 
 # Rounds of fitting and weighting; the weights follow the NRMSE, which hardly moves.
 _ROUNDS = 3
-# How much farther from its minimum a profile's fit may end where misfit, known to tens of percent, decides.
-_SLACK = 10.0
 # Number of iterations of a refit; a refit that has not converged gets twice as many more, once.
 _ITERATIONS = 8
 # Least number of trials of which one is left out: two that differ do not tell which is odd.
@@ -192,15 +190,13 @@ def assess(
     tell("derivatives at the best set")
     judged, noise, linear, without = judge_fit(problem, start)
     tell(f"profiles of {len(problem.space.found)} parameters")
-    lacks = judged.verdict not in (EXPLAINED_BY, UNJUDGED)
-    walked = walk_profiles(problem, linear, seed, _SLACK if lacks else 1.0)
+    walked = walk_profiles(problem, linear, seed)
     if walked.lowered > 1.0:
         # A profile has found a better place, from which everything is judged.
         judged, noise, linear, without = judge_fit(problem, walked.best)
-        lacks = judged.verdict not in (EXPLAINED_BY, UNJUDGED)
-        again = walk_profiles(problem, linear, seed, _SLACK if lacks else 1.0)
+        again = walk_profiles(problem, linear, seed)
         walked = replace(again, evaluations=walked.evaluations + again.evaluations)
-    if lacks:
+    if judged.verdict not in (EXPLAINED_BY, UNJUDGED):
         others = [linear]
         if wider is not None and len(wider.space.free) > len(start):
             tell("all terms that the model may lack, fitted together")

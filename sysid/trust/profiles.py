@@ -92,11 +92,8 @@ class _Side:
     rough: int = 0
 
 
-def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0, slack: float = 1.0) -> Profiles:
-    """Walk every parameter of which nothing is stated outward; `seed` is for CMA-ES where costs are rough.
-
-    The fit at a point may end `slack` times as far from its minimum as the fits that noise explains [1].
-    """
+def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profiles:
+    """Walk every parameter of which nothing is stated outward; `seed` is for CMA-ES where costs are rough."""
     best, scale, info = linear.point, linear.scale, linear.information
     n, found, derivatives = len(best), len(problem.space.found), linear.derivatives
     values, _ = problem.residuals(best[None])
@@ -125,7 +122,7 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0, slack: fl
         known = np.array([side.derivatives for side in moving])
         solved = solve(
             problem, starts, scale, rise=linear.jacobian.rise, curvature=info.curvature, fixed=fixed,
-            known=known, tolerance=slack * linear.tolerance, iterations=_ITERATIONS,
+            known=known, tolerance=linear.tolerance, iterations=_ITERATIONS,
         )  # fmt: skip
         evaluations += solved.evaluations
         for f, side in enumerate(moving):
