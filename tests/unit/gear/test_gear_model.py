@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from llvmlite.binding import get_host_cpu_features
 from numba.core.caching import NullCache
 
 from fakes.gear_drops import SIX, level_drops, nrmse
@@ -152,7 +153,8 @@ def test_lanes_become_packed_instructions(surface):
     start = (drops.slope[None], drops.body_state[None], np.empty(0), drops.clock, drops.offset)
     thrust = (drops.segments, drops.plans)
     ending = (0.0, 0.05, 0.2, 0.2, 1.4)  # to the clock's end; rest and flip as by default
-    drive(rows, *start, *thrust, np.zeros(1, np.int64), 1e-3, 5e-3, 1e6, ending, *out)
+    jobs, handed = np.zeros(1, np.int64), np.zeros(1, np.int64)
+    drive(rows, *start, *thrust, jobs, handed, 1e-3, 5e-3, 1e6, ending, *out)
     (text,) = drive.inspect_asm().values()
     # Products by themselves and those fused into a sum.
     packed, single = (
@@ -161,6 +163,10 @@ def test_lanes_become_packed_instructions(surface):
     # Every stage is one loop over lanes; what stays scalar is sampling and the start of a job.
     assert packed > 500
     assert packed > 3 * single
+    # All eight lanes in one register, where the CPU has registers of that size.
+    assert ("zmm" in text) == get_host_cpu_features().get("avx512f", False)
+    # The job and a number for each of the eight lanes, of which seven found none.
+    assert handed == [9]
 
 
 def test_a_lost_single_drop_says_why():
