@@ -11,9 +11,9 @@ the peak memory of that.
 What bounds a random population (100 candidates on the six drops, AMD of family 26, one thread, against the
 kernel at ac9ff87): 12.1 instead of 9.3 thousand drops per processor second on low friction, 9.5 instead of
 7.4 on high friction, 1.3 times, with as many right-hand sides, 8,389 and 6,621 a drop. One of them takes
-9.8 and 15.9 ns a lane. Lanes that wait for slower ones cost 1 % of 100 candidates on one thread. With 16 lanes,
-two vectors side by side, a drop takes 0.94 to 1.1 times as long: the number of instructions bounds it, not their
-latency (``engine.md``).
+9.8 and 15.9 ns a lane. Lanes that wait for slower ones cost 1 % of 100 candidates on one thread. With 16
+lanes, two vectors side by side, a drop takes 0.94 to 1.1 times as long: the number of instructions bounds it,
+not their latency (``engine.md``).
 """
 
 import json
