@@ -42,13 +42,13 @@ if TYPE_CHECKING:
 # A fit's matrices are small: several threads of BLAS wait for one another, take up to twice the processor
 # time, and make the last bits depend on the number of cores.
 _THREADS_OF_BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-if "numpy" in sys.modules and not any(name in os.environ for name in _THREADS_OF_BLAS):
-    # A library that is loaded reads no environment any more.
-    from threadpoolctl import threadpool_limits
+if not any(name in os.environ for name in (*_THREADS_OF_BLAS, "OMP_NUM_THREADS")):
+    if "numpy" in sys.modules:
+        # A library that is loaded reads no environment any more.
+        from threadpoolctl import threadpool_limits
 
-    threadpool_limits(1, "blas")
-for _name in _THREADS_OF_BLAS:
-    os.environ.setdefault(_name, "1")
+        threadpool_limits(1, "blas")
+    os.environ.update(dict.fromkeys(_THREADS_OF_BLAS, "1"))
 
 __version__ = "0.1.0"
 # Imported on first use: `import sysid` stays light.

@@ -25,6 +25,7 @@ from sysid.landing.settings import ImpulseSettings, MapSettings, StudySettings
 from sysid.landing.simulate import Landing
 from sysid.landing.store import MapFile, write_maps, write_study
 from sysid.marks import span
+from sysid.parallel import LocalThreads
 from sysid.parameter_sets import ParameterSets, RankedSet
 from sysid.report.design_figures import figure_design_study
 from sysid.report.landing_figures import figure_impulse, figure_of_file
@@ -382,7 +383,8 @@ def _grid(given: Grid, name: str, unit: str = "1") -> tuple[float, ...]:
 
 
 def _computing(threads: int | None) -> Computing:
-    return Computing(threads=python_options(TrustOptions, {"threads": threads}).threads)
+    threads = python_options(TrustOptions, {"threads": threads}).threads
+    return Computing(LocalThreads(threads), threads)
 
 
 def _file(given: str | Path | None) -> Path | None:

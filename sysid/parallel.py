@@ -15,6 +15,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import ExitStack
 from math import ceil
 from typing import Any, Self
 
@@ -42,7 +43,7 @@ _FIRST_CHUNK = 16
 # Number of chunks per worker: with one chunk each, workers that end early would idle.
 _CHUNKS_PER_WORKER = 2
 # Callers that compute in this process at the same time: with one, the other cores would wait for the last of
-# its jobs; each takes memory.
+# its jobs; each takes memory. Then the threads that compute now: each has a share of the cores.
 _CALLERS = 2
 _computing: set[int] = set()
 # Number of shares per thread: shares cost nothing to hand out.
@@ -88,14 +89,14 @@ class Executor(ABC):
 def threads_for(jobs: int, threads: int | None) -> int:
     """Return how many threads compute jobs [1], by default one per core; callers share the cores."""
     cores = threads or os.cpu_count() or 1
-    return max(1, min(ceil(cores / max(1, len(_computing))), jobs))
+    return max(1, min(cores // max(1, len(_computing)), jobs))
 
 
 def in_threads(kernel: Callable[..., Any], jobs: int, threads: int | None, *arguments: Any) -> None:
     """Call a compiled ``kernel(first, last, *arguments)`` for all its jobs, in threads of this process.
 
-    Its jobs know nothing of each other, and it was compiled to release the interpreter. By default there is
-    a thread per core. Numba's own parallel loops would take two to three times as long to compile.
+    Its jobs know nothing of each other, and it was compiled to release the interpreter. How many threads:
+    `threads_for`. Numba's own parallel loops would take two to three times as long to compile.
     """
     workers = threads_for(jobs, threads)
     # Whatever has to be compiled is compiled in this thread: Ctrl-C ends it here.
@@ -113,8 +114,10 @@ class LocalThreads(Executor):
     # While one prepares its next rows, the others compute.
     at_once = _CALLERS + 1
 
-    def __init__(self) -> None:
-        self._places = threading.Semaphore(_CALLERS)
+    def __init__(self, threads: int | None = None) -> None:
+        """Use this many threads, by default one per core."""
+        self._count = min(_CALLERS, threads or os.cpu_count() or 1)
+        self._places = threading.Semaphore(self._count)
         self._closed = False
 
     def share(self, work: Work) -> Work:
@@ -125,20 +128,20 @@ class LocalThreads(Executor):
             with self._places:
                 if self._closed:
                     raise ClosedError
-                _computing.add(caller)
                 try:
+                    _computing.add(caller)
                     return work(rows)
                 finally:
-                    _computing.remove(caller)
+                    _computing.discard(caller)
 
         return in_turn
 
     def close(self) -> None:
         """Refuse later callers and wait for those that compute."""
         self._closed = True
-        for _ in range(_CALLERS):
-            self._places.acquire()
-        self._places.release(_CALLERS)
+        with ExitStack() as places:
+            for _ in range(self._count):
+                places.enter_context(self._places)
 
 
 class DaskCluster(Executor):
@@ -355,6 +358,6 @@ def _compute(work: Work, rows: FloatArray) -> tuple[float, Columns]:
         return time.perf_counter() - began, columns
 
 
-def executor(dask: str | None, at_once: int = 5) -> Executor:
-    """Return local threads, or the Dask cluster at an address (``tcp://host:8786``, ``local``)."""
-    return LocalThreads() if dask is None else DaskCluster(dask, at_once)
+def executor(dask: str | None, at_once: int = 5, threads: int | None = None) -> Executor:
+    """Return local `threads`, or the Dask cluster at an address (``tcp://host:8786``, ``local``)."""
+    return LocalThreads(threads) if dask is None else DaskCluster(dask, at_once)

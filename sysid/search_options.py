@@ -49,8 +49,8 @@ class CampaignSearch:
         DEFAULT_ALGORITHM
     )
     # Least squares from the best of a few generations; where a little more is left than noise, CMA-ES along
-    # the axes of the curvature follows, where much more, the whole search and CMA-ES, which starts from mean
-    # and spread of each last generation. The default was chosen by tests/benchmarks/engine.py.
+    # the axes of the curvature follows, where much more, ten generations and least squares over whole windows
+    # before it. The default was chosen by tests/benchmarks/engine.py.
     finish: Annotated[
         Finisher,
         Flag("Let this follow every run. 'none' is the paper's method.", default=_CAMPAIGN, panel=_PANEL),

@@ -310,6 +310,7 @@ class MeanNrmse:
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
 STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
+# The same where the walk begins with whole windows.
 _WHOLE = ((1.0, 4, 8, False), (1.0, 1, 8, True))
 # The first windows were fitted with stated values as they are stated. Where these were wrong, a later bounce
 # may have ended in a dent, so the best front walks again with what it made of them.
@@ -326,7 +327,7 @@ class LeastSquares(Breeder):
     def __init__(self, objective: Problem, cube: FloatArray, cost: FloatArray, whole: bool = False) -> None:
         """Begin at the best of a population: points (P, n_free) and costs (P,), best first.
 
-        With `whole` windows from the beginning.
+        With `whole` the walk begins with whole windows.
         """
         self._objective = objective
         self._stages = _WHOLE if whole else STAGES

@@ -1,5 +1,7 @@
 """The search: independent runs, each a stage of one algorithm and a finisher, ended by declared rules.
 
+Where least squares leaves more than noise explains, both follow once more, over whole windows, and CMA-ES.
+
 sysid scores a whole population at once and decides when to end; one generation is one ask-and-tell of a
 `sysid.fit.breeders.algorithms.Breeder`.
 
@@ -88,9 +90,9 @@ def run_one(
     """Run one of the independent runs of a fit, numbered from 0; the `time_limit` counts from now [s].
 
     Finished stages of the `checkpoint` are taken as they are; those that finish now are kept there.
-    `first_generations` limits the first stage [1], by default to three before least squares; CMA-ES after it
-    is a small one then. Raises FitError when there is no free parameter, a cost is not finite, or the
-    checkpoint cannot be used.
+    `first_generations` limits the stages before least squares [1], by default to three, and to ten where a
+    second pair follows; CMA-ES after it is a small one then. Raises FitError when there is no free parameter,
+    a cost is not finite, or the checkpoint cannot be used.
     """
     if not objective.space.free:
         raise FitError("no parameter is free, so there is nothing to fit; name the free ones in the campaign")

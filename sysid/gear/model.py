@@ -504,9 +504,9 @@ def _run(
             switches, moments, states, marks,
         )  # fmt: skip
 
-    if workers == 1:
+    if workers == 1 and len(jobs):
         work(0)
-    else:
+    elif workers > 1:
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(work, range(workers)))
     return PopulationSamples(

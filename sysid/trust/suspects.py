@@ -38,7 +38,7 @@ _OFF = 3.0
 _NO_FALL = 0.99
 # Number of iterations of a fit without a statement, and of one that shows whether a mistake is worth a fit.
 _ITERATIONS, _FIRST = 15, 4
-# Largest sum of squares after these, over that of the fit as stated [1].
+# Sum of squares after `_FIRST` iterations, over that of the fit as stated, from which on it is not [1].
 _HOPELESS = 2.0
 # Least misfit of a bad trial as the fit of the others predicts it [noise].
 _UNLIKE = 3.0
@@ -182,7 +182,7 @@ def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: floa
     if not rows:
         return _Mistake(None, {}, 0)
     cost = problem.cost.mean(problem.score(np.array(rows)).by_channel)
-    best, values, evaluations, in_campaign = None, dict[str, float](), len(rows), True
+    best, values, evaluations, in_campaign = None, dict[str, float](), len(rows) + 1, True
     least += _AS_WELL * float(linear.scale[-1]) ** 2
     residuals, _ = problem.residuals(linear.point[None])
     as_stated = float(np.sum((residuals[0] * linear.scale) ** 2))
@@ -196,8 +196,10 @@ def _mistake(problem: Problem, linear: Linearized, before: Adequacy, least: floa
             )  # fmt: skip
             points = solved.points
             evaluations += solved.evaluations
-            if solved.squares[0] > _HOPELESS * as_stated:
+            if solved.converged[0] or solved.squares[0] > _HOPELESS * as_stated:
                 break
+        if solved.squares[0] > _HOPELESS * as_stated:
+            continue
         after = adequacy(other, spaces[k].full(solved.points)[0])
         if after.verdict == EXPLAINED_BY and solved.squares[0] < least:
             least = float(solved.squares[0])

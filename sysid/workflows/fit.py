@@ -269,7 +269,7 @@ def _search(
         candidate_time,
         lambda point: float(fitted.of_stated(fitted.space.full(point[None]))[0]),
     )
-    with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE)) as where, progress:
+    with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE), options.threads) as where, progress:
         hooks = Hooks(progress.on_generation, progress.on_run, should_stop)
         runs = run_many(
             computed_by(fitted, where),

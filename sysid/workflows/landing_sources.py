@@ -146,7 +146,8 @@ def compute_and_write(
     store = BlockStore(out, identity, resume=options.resume, force=options.force)
     progress = BlockProgress(*blocks, options.quiet or options.json)
     with closing(store):
-        with executor(options.dask, _AT_ONCE) as where, stop_on_interrupt(progress.on_stop) as stop, progress:
+        where = executor(options.dask, _AT_ONCE, options.threads)
+        with where, stop_on_interrupt(progress.on_stop) as stop, progress:
             threads = 1 if options.dask is not None else options.threads
             result = compute(Computing(where, threads, store, progress.on_block, stop.is_set))
         for note in store.notes:

@@ -11,7 +11,7 @@ import sys
 import time
 from pathlib import Path
 
-import sysid  # noqa: F401  before numpy, as in `tests/conftest.py`
+import sysid  # noqa: F401  one thread of BLAS, as in `tests/conftest.py`
 
 # isort: split
 import subjects

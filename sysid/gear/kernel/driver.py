@@ -140,7 +140,8 @@ def drop_driver(lanes: int, surface: Surface, extended: bool = False):
     ):  # fmt: skip
         """Integrate jobs (n,) (candidate * drops + drop) and sample them on their drop's clock.
 
-        Calls from several threads that share `handed` (1,), how many jobs are handed out, share the jobs.
+        Calls from several threads share the jobs through `handed` (1,), the next place in `jobs`, which runs
+        on behind their end.
 
         Parameters
         ----------

@@ -133,10 +133,16 @@ def test_local_work_is_entered_by_two_callers_at_a_time():
         both.wait(timeout=10)
         return (np.full(len(rows), threads),)
 
-    with LocalThreads() as where, ThreadPoolExecutor(4) as pool:
+    with LocalThreads(4) as where, ThreadPoolExecutor(4) as pool:
         # Callers leave each other a share of the cores.
         (first,), (second,) = pool.map(where.share(cores), np.zeros((2, 1, 1)))
         assert (first, second, threads_for(100, 4)) == (2, 2, 4)
+        # One core is for one caller.
+        with LocalThreads(1) as alone:
+            shared = alone.share(work)
+            list(pool.map(lambda i: shared(np.full((2, 1), float(i))), range(4)))
+        assert max(most) == 1
+        most.clear()
         shared = (where.share(work), where.share(work))
         out = list(pool.map(lambda i: shared[i % 2](np.full((2, 1), float(i))), range(8)))
     assert max(most) == 2
