@@ -42,9 +42,10 @@ _LEAST_CHUNK = 8
 _FIRST_CHUNK = 16
 # Number of chunks per worker: with one chunk each, workers that end early would idle.
 _CHUNKS_PER_WORKER = 2
-# Callers that compute in this process at the same time: with one, the other cores would wait for the last of
-# its jobs; each takes memory. Then the threads that compute now: each has a share of the cores.
+# Largest number of callers that compute in this process at the same time: a single caller would leave cores
+# idle at the end of its jobs, and every caller takes memory.
 _CALLERS = 2
+# Identifiers of the threads that compute now; each has an equal share of the cores.
 _computing: set[int] = set()
 # Number of shares per thread: shares cost nothing to hand out.
 _SHARES = 4
@@ -121,7 +122,7 @@ class LocalThreads(Executor):
         self._closed = False
 
     def share(self, work: Work) -> Work:
-        """Return the work, which few callers at a time can enter; raises ClosedError after `close`."""
+        """Return the work, which two callers can enter at a time; raises ClosedError after `close`."""
 
         def in_turn(rows: FloatArray) -> Columns:
             caller = threading.get_ident()

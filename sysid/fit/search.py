@@ -1,6 +1,7 @@
 """The search: independent runs, each a stage of one algorithm and a finisher, ended by declared rules.
 
-Where least squares leaves more than noise explains, both follow once more, over whole windows, and CMA-ES.
+Where the campaign states no value with an error and least squares leaves more than noise explains, both
+stages follow once more, now over whole windows, and then CMA-ES.
 
 sysid scores a whole population at once and decides when to end; one generation is one ask-and-tell of a
 `sysid.fit.breeders.algorithms.Breeder`.
@@ -125,7 +126,8 @@ class _Run:
             self.best = self.checkpoint.best(self.run, n_free)
         stages: list[StageHistory] = []
         start: Start | None = None
-        ends: list[tuple[float, Start]] = []  # of least squares
+        # Lowest NRMSE [1] of every stage of least squares, and where CMA-ES would go on from it.
+        ends: list[tuple[float, Start]] = []
         cut: StopReason | None = None
         left = list(self.settings.stages)
         if space.stated and "least-squares" not in left and self.settings.finish != "none":
@@ -171,7 +173,7 @@ class _Run:
                 ends.append((float(stage.cost.min()), start))
                 least, start = min(ends, key=lambda end: end[0])
                 if stage.stop_reason == "unexplained" and len(ends) == 1:
-                    # What suits the first part of a window may lead a wrong model astray.
+                    # A wrong model that fits the first part of a window may not fit the whole window.
                     left += [self.settings.algorithm, name]
                 elif least > _ALL_BUT_NOISE * noise_floor(self.objective.blocks):
                     # The cost is rough: CMA-ES goes on from there.

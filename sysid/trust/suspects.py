@@ -38,7 +38,8 @@ _OFF = 3.0
 _NO_FALL = 0.99
 # Number of iterations of a fit without a statement, and of one that shows whether a mistake is worth a fit.
 _ITERATIONS, _FIRST = 15, 4
-# Sum of squares after `_FIRST` iterations, over that of the fit as stated, from which on it is not [1].
+# Largest sum of squares after `_FIRST` iterations with which a mistake is worth a whole fit, as a multiple
+# of the sum of squares of the fit as stated [1].
 _HOPELESS = 2.0
 # Least misfit of a bad trial as the fit of the others predicts it [noise].
 _UNLIKE = 3.0

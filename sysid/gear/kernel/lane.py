@@ -22,7 +22,7 @@ from sysid.integrate.tableau import STAGES
 # Quantities whose zero `locate` finds: penetration of the rear and of the front foot [m], angle between body
 # and slope beyond the flip angle [rad], and speed or turn rate over its limit at rest, less 1 [1].
 REAR_FOOT, FRONT_FOOT, TURN, MOTION = range(4)
-# What stands for a job's number in a lane that takes the next one, and in one for which none is left.
+# Entries in place of a job's number: the lane takes the next job, or no job is left for the lane.
 FREE, IDLE = -1, -2
 
 
