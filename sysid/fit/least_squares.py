@@ -12,7 +12,8 @@ residuals r in units of what NRMSE divides by, ``s_k <= s_k'/2 + mean(r_k²)/(2 
 gradient at ``s_k' = s_k``: a sum of squares weighted by the blocks' present scores descends where C does.
 After the third contact of a drop the cost is rough, and a fit of the whole window stops in the first dent.
 The finisher therefore begins with the first part of every trial's window and lets it grow. Where the model is
-wrong, that may lead away from the best fit of the whole, so a second finisher begins with whole windows.
+wrong, that may lead away from the best fit of the whole, so a second finisher begins with whole windows: few
+fronts, and more of them where no two end alike.
 """
 
 from __future__ import annotations
@@ -310,8 +311,13 @@ class MeanNrmse:
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
 STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
-# The same where the walk begins with whole windows.
-_WHOLE = ((1.0, 4, 8, False), (1.0, 1, 8, True))
+# NRMSE over noise [1] above which what fits a part of the windows leads astray: no last stage follows.
+ASTRAY = 2.2
+# Fronts that begin with whole windows, and those that follow where no two of the former end alike.
+_WHOLE_FEW, _WHOLE_MORE = (1.0, 4, 8, False), (1.0, 12, 8, False)
+_WHOLE_LAST = (1.0, 1, 8, True)
+# Two ends whose NRMSE differs by less than this share count as one optimum.
+_ALIKE = 1e-3
 # The first windows were fitted with stated values as they are stated. Where these were wrong, a later bounce
 # may have ended in a dent, so the best front walks again with what it made of them.
 _AGAIN = ((0.25, 1, 5, False), (0.5, 1, 5, False), (0.75, 1, 5, False), (1.0, 1, 6, False))
@@ -330,15 +336,29 @@ class LeastSquares(Breeder):
         With `whole` the walk begins with whole windows.
         """
         self._objective = objective
-        self._stages = _WHOLE if whole else STAGES
-        self._fronts = Fronts.at(_distinct(cube, self._stages[0][1]))
+        self._whole, self._agreed = whole, False
+        count = _WHOLE_FEW[1] + _WHOLE_MORE[1] if whole else STAGES[0][1]
+        self._fronts = Fronts.at(_distinct(cube, count))
         self._scored = {point.tobytes(): float(value) for point, value in zip(cube, cost, strict=True)}
         self._walk = self._staged()
         self._asked: FloatArray | None = next(self._walk)
 
     def _staged(self) -> Walk:
-        yield from self._through(self._stages, self._fronts)
-        if not self._objective.space.stated:
+        if self._whole:
+            few = self._fronts.part(slice(_WHOLE_FEW[1]))
+            yield from self._through([_WHOLE_FEW], few)
+            self._agreed = _alike(few.cost)
+            more = self._fronts.part(slice(_WHOLE_FEW[1], None))
+            if not self._agreed and len(more.points):
+                yield from self._through([_WHOLE_MORE], more)
+                self._agreed = _alike(self._fronts.cost)
+            yield from self._through([_WHOLE_LAST], self._fronts)
+            return
+        yield from self._through(STAGES[:-1], self._fronts)
+        stated = bool(self._objective.space.stated)
+        if stated or not self._over_noise > ASTRAY:
+            yield from self._through(STAGES[-1:], self._fronts)
+        if not stated:
             return
         self._fronts.sort()
         noise = np.array([block.noise for block in self._objective.blocks])
@@ -385,9 +405,13 @@ class LeastSquares(Breeder):
 
     @property
     def ended(self) -> StopReason:
-        """Why there is nothing to ask for: the walk has ended, or more is left than noise explains."""
-        floor = noise_floor(self._objective.blocks)
-        return "unexplained" if np.exp(self._fronts.cost.min() / 2) > EXPLAINED * floor else "converged"
+        """Why the walk ended: it converged, or more is left than noise explains and no two fronts agree."""
+        return "unexplained" if self._over_noise > EXPLAINED and not self._agreed else "converged"
+
+    @property
+    def _over_noise(self) -> float:
+        """The lowest NRMSE over that of noise alone [1]; NaN where no noise is known."""
+        return float(np.exp(self._fronts.cost.min() / 2) / noise_floor(self._objective.blocks))
 
     def start(self) -> Start:
         """Return where and along which axes CMA-ES goes on: at the best front, by the cost's curvature."""
@@ -395,6 +419,12 @@ class LeastSquares(Breeder):
         curvature, axes = np.linalg.eigh(self._fronts.curvature[best])
         lengths = np.sqrt(2 * _AXIS_COST / np.maximum(curvature, 1e-30))
         return Start(self._fronts.points[best], np.minimum(lengths, _AXIS_LENGTH), axes)
+
+
+def _alike(cost: FloatArray) -> bool:
+    """Whether the two lowest of the fronts' costs (F,) [1] are those of one optimum."""
+    least = np.sort(cost)[:2]
+    return len(least) == 2 and bool(np.isfinite(least).all() and np.ptp(least) <= 2 * _ALIKE)
 
 
 def _distinct(cube: FloatArray, count: int) -> FloatArray:

@@ -1,7 +1,7 @@
 """The search: independent runs, each a stage of one algorithm and a finisher, ended by declared rules.
 
-Where the campaign states no value with an error and least squares leaves more than noise explains, both
-stages follow once more, now over whole windows, and then CMA-ES.
+Where the campaign states no value with an error, CMA-ES follows least squares that leaves more than noise.
+If it leaves far more, the search goes on before, and least squares begins again, now with whole windows.
 
 sysid scores a whole population at once and decides when to end; one generation is one ask-and-tell of a
 `sysid.fit.breeders.algorithms.Breeder`.
@@ -30,7 +30,7 @@ from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.breeders.breeder import Breeder, Keeping, Start
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.history import Generation, RunHistory, StageHistory
-from sysid.fit.least_squares import LeastSquares
+from sysid.fit.least_squares import ASTRAY, LeastSquares
 from sysid.fit.problem import Problem
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, StopReason
@@ -46,10 +46,10 @@ CMAES_SPREAD = 0.01
 # Population of CMA-ES as a finisher; chosen by tests/benchmarks/engine.py.
 FINISH_POPULATION = 64
 # Population of CMA-ES after least squares, and of a search of few parameters: the axes of the cost are known,
-# so a small population has to learn no others.
-ROUGH_POPULATION = 16
-# Generations that least squares needs to find its starts; for whole windows of a wrong model it needs more.
-_FIRST_GENERATIONS, _MORE_GENERATIONS = 3, 10
+# so a small population has to learn no others. The cost of a wrong model has more dents.
+ROUGH_POPULATION, UNEXPLAINED_POPULATION = 16, 32
+# Generations that least squares needs to find its starts, and as many more as it needs for whole windows.
+_FIRST_GENERATIONS, _MORE_GENERATIONS = 3, 7
 # Cumulative share of the budget that each non-final stage may use [1], without and with least squares.
 _SHARES, _FAST_SHARES = (0.6, 0.8), (0.3, 0.5, 0.6, 0.8)
 # NRMSE over noise up to which nothing but noise is left [1]: CMA-ES after least squares takes 1e-5 off such a
@@ -91,9 +91,9 @@ def run_one(
     """Run one of the independent runs of a fit, numbered from 0; the `time_limit` counts from now [s].
 
     Finished stages of the `checkpoint` are taken as they are; those that finish now are kept there.
-    `first_generations` limits the stages before least squares [1], by default to three, and to ten where a
-    second pair follows; CMA-ES after it is a small one then. Raises FitError when there is no free parameter,
-    a cost is not finite, or the checkpoint cannot be used.
+    `first_generations` limits the stages before least squares [1], by default to three, and to seven more
+    where a second pair follows; CMA-ES after it is a small one then. Raises FitError when there is no free
+    parameter, a cost is not finite, or the checkpoint cannot be used.
     """
     if not objective.space.free:
         raise FitError("no parameter is free, so there is nothing to fit; name the free ones in the campaign")
@@ -129,6 +129,8 @@ class _Run:
         # Lowest NRMSE [1] of every stage of least squares, and where CMA-ES would go on from it.
         ends: list[tuple[float, Start]] = []
         cut: StopReason | None = None
+        # The search of the first stage, which a second pair of stages goes on with.
+        searched: Breeder | None = None
         left = list(self.settings.stages)
         if space.stated and "least-squares" not in left and self.settings.finish != "none":
             left.append("least-squares")
@@ -151,6 +153,8 @@ class _Run:
                 else:
                     small = self.first_generations or (start is not None and start.axes is not None)
                     finishing = ROUGH_POPULATION if small else FINISH_POPULATION
+                    if stages and stages[-1].stop_reason == "unexplained":
+                        finishing = UNEXPLAINED_POPULATION
                     searching = name == self.settings.algorithm
                     population = self.settings.population if searching else finishing
                     child = np.random.SeedSequence(seed, spawn_key=(number,))
@@ -158,6 +162,9 @@ class _Run:
                     if start is not None:
                         start = replace(start, mean=start.mean[:n_found], spread=start.spread[:n_found])
                     bred = Keeping(breeder(name, n_found, population, own, start), kept_values)
+                    if ends and searching:
+                        bred = searched or self._again(bred, len(stages[0].cost))
+                    searched = bred
                 stage = self._bred(name, bred, self._limits(name, number, population, last=not left))
                 start = bred.start()
                 if stage.stop_reason in _CUT:
@@ -172,16 +179,25 @@ class _Run:
             if name == "least-squares" and not space.stated:
                 ends.append((float(stage.cost.min()), start))
                 least, start = min(ends, key=lambda end: end[0])
-                if stage.stop_reason == "unexplained" and len(ends) == 1:
+                over_noise = least / noise_floor(self.objective.blocks)
+                if len(ends) == 1 and over_noise > ASTRAY:
                     # A wrong model that fits the first part of a window may not fit the whole window.
                     left += [self.settings.algorithm, name]
-                elif least > _ALL_BUT_NOISE * noise_floor(self.objective.blocks):
+                elif over_noise > _ALL_BUT_NOISE and (len(ends) == 1 or stage.stop_reason != "converged"):
                     # The cost is rough: CMA-ES goes on from there.
                     left.append("cmaes")
         # The run was farther when it was killed or stopped before.
         if cut and self.best is not None and self.best.cost.min() < min(stage.cost.min() for stage in stages):
             stages.append(replace(self.best, stop_reason=cut))
         return RunHistory(seed, tuple(stages))
+
+    def _again(self, bred: Breeder, generations: int) -> Breeder:
+        """Return a breeder after its first generations, which were scored before the run was killed."""
+        for _ in range(generations):
+            asked = bred.ask()
+            assert asked is not None, "it was asked as often before"
+            bred.tell(self.objective.evaluate(asked).cost)
+        return bred
 
     def _limits(self, name: str, number: int, population: int, last: bool) -> SearchSettings:
         """Return when a stage ends; of the run's budgets all stages but the last get a share."""

@@ -71,15 +71,19 @@ def test_every_algorithm_goes_on_from_its_finished_stages(tmp_path, algorithm):
         assert_same_runs(run_all(tmp_path / "fit", settings=settings, resume=True)[0], whole)
 
 
-@pytest.mark.parametrize("rough", [0.0, 0.01])
-def test_what_follows_least_squares_starts_along_its_axes_again(tmp_path, rough):
+@pytest.mark.parametrize(
+    ("rough", "wrong", "after"),
+    [(0.0, 0.017, ["cmaes"]), (0.01, 0.017, ["cmaes"]), (0.0, 0.2, ["ga", "least-squares"])],
+)
+def test_what_follows_least_squares_begins_where_it_would_have(tmp_path, rough, wrong, after):
     settings = SearchSettings(40, 1, 5)
-    whole = run_many(Decay(rough, 0.017), settings)
-    assert [stage.algorithm for stage in whole[0].stages] == ["ga", "least-squares", "cmaes"]
-    for cut in sorted({1, 4, 9, 25, len(whole[0].best) - 2}):
-        interrupted(tmp_path / "fit", cut, Decay(rough, 0.017), settings=settings)
+    whole = run_many(Decay(rough, wrong), settings)
+    assert [stage.algorithm for stage in whole[0].stages] == ["ga", "least-squares", *after]
+    third = sum(len(stage.cost) for stage in whole[0].stages[:2])
+    for cut in sorted({1, 4, 9, 25, third + 3, len(whole[0].best) - 2}):
+        interrupted(tmp_path / "fit", cut, Decay(rough, wrong), settings=settings)
         assert_same_runs(
-            run_all(tmp_path / "fit", Decay(rough, 0.017), settings=settings, resume=True)[0], whole
+            run_all(tmp_path / "fit", Decay(rough, wrong), settings=settings, resume=True)[0], whole
         )
 
 

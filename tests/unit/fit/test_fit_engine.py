@@ -199,9 +199,10 @@ def test_a_wrong_model_is_fitted_over_whole_windows_as_well():
     wrong.measured = wrong.measured + 0.2 * np.sin(9 * wrong.trials[0].time)
     settings = SearchSettings(population=40, runs=1, seed=3)
     run, plain = run_one(wrong, settings), run_one(wrong, replace(settings, finish="cmaes"))
-    assert run.stages[1].stop_reason == "unexplained"
-    assert [stage.algorithm for stage in run.stages] == ["ga", "least-squares"] * 2 + ["cmaes"]
-    np.testing.assert_array_equal(run.stages[2].cube, plain.stages[0].cube[:10])
+    # Two fronts end in one optimum, so that no CMA-ES follows.
+    assert [stage.algorithm for stage in run.stages] == ["ga", "least-squares"] * 2
+    assert [stage.stop_reason for stage in run.stages[1::2]] == ["unexplained", "converged"]
+    np.testing.assert_array_equal(run.stages[2].cube, plain.stages[0].cube[3:10])
     assert run.best[-1] <= plain.best[-1] * (1 + 1e-6)
 
 
