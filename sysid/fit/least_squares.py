@@ -311,10 +311,8 @@ class MeanNrmse:
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
 STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
-# NRMSE over noise [1] above which what fits a part of the windows leads astray: no last stage follows.
-ASTRAY = 2.2
 # Fronts that begin with whole windows, and those that follow where no two of the former end alike.
-_WHOLE_FEW, _WHOLE_MORE = (1.0, 4, 8, False), (1.0, 12, 8, False)
+_WHOLE_FEW, _WHOLE_MORE = (1.0, 4, 8, False), (1.0, 8, 6, False)
 _WHOLE_LAST = (1.0, 1, 8, True)
 # Two ends whose NRMSE differs by less than this share count as one optimum.
 _ALIKE = 1e-3
@@ -351,12 +349,12 @@ class LeastSquares(Breeder):
             more = self._fronts.part(slice(_WHOLE_FEW[1], None))
             if not self._agreed and len(more.points):
                 yield from self._through([_WHOLE_MORE], more)
-                self._agreed = _alike(self._fronts.cost)
             yield from self._through([_WHOLE_LAST], self._fronts)
             return
         yield from self._through(STAGES[:-1], self._fronts)
         stated = bool(self._objective.space.stated)
-        if stated or not self._over_noise > ASTRAY:
+        # Where more is left than noise, the search goes on, so that this end need not be exact.
+        if stated or self.ended == "converged":
             yield from self._through(STAGES[-1:], self._fronts)
         if not stated:
             return
@@ -406,12 +404,9 @@ class LeastSquares(Breeder):
     @property
     def ended(self) -> StopReason:
         """Why the walk ended: it converged, or more is left than noise explains and no two fronts agree."""
-        return "unexplained" if self._over_noise > EXPLAINED and not self._agreed else "converged"
-
-    @property
-    def _over_noise(self) -> float:
-        """The lowest NRMSE over that of noise alone [1]; NaN where no noise is known."""
-        return float(np.exp(self._fronts.cost.min() / 2) / noise_floor(self._objective.blocks))
+        explained = EXPLAINED * noise_floor(self._objective.blocks)
+        unexplained = np.exp(self._fronts.cost.min() / 2) > explained and not self._agreed
+        return "unexplained" if unexplained else "converged"
 
     def start(self) -> Start:
         """Return where and along which axes CMA-ES goes on: at the best front, by the cost's curvature."""

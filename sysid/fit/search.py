@@ -1,7 +1,7 @@
 """The search: independent runs, each a stage of one algorithm and a finisher, ended by declared rules.
 
-Where the campaign states no value with an error, CMA-ES follows least squares that leaves more than noise.
-If it leaves far more, the search goes on before, and least squares begins again, now with whole windows.
+Where the campaign states no value with an error and least squares leaves more than noise explains, the search
+goes on, least squares begins again, now with whole windows, and CMA-ES follows unless two fronts agree.
 
 sysid scores a whole population at once and decides when to end; one generation is one ask-and-tell of a
 `sysid.fit.breeders.algorithms.Breeder`.
@@ -30,7 +30,7 @@ from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.breeders.breeder import Breeder, Keeping, Start
 from sysid.fit.checkpoint import Checkpoint
 from sysid.fit.history import Generation, RunHistory, StageHistory
-from sysid.fit.least_squares import ASTRAY, LeastSquares
+from sysid.fit.least_squares import LeastSquares
 from sysid.fit.problem import Problem
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, StopReason
@@ -47,7 +47,9 @@ CMAES_SPREAD = 0.01
 FINISH_POPULATION = 64
 # Population of CMA-ES after least squares, and of a search of few parameters: the axes of the cost are known,
 # so a small population has to learn no others. The cost of a wrong model has more dents.
-ROUGH_POPULATION, UNEXPLAINED_POPULATION = 16, 32
+ROUGH_POPULATION, UNEXPLAINED_POPULATION = 16, 24
+# Tolerance of CMA-ES there: nobody needs the digits of a fit that a missing term has moved.
+_UNEXPLAINED_TOLERANCE = 2e-4
 # Generations that least squares needs to find its starts, and as many more as it needs for whole windows.
 _FIRST_GENERATIONS, _MORE_GENERATIONS = 3, 7
 # Cumulative share of the budget that each non-final stage may use [1], without and with least squares.
@@ -153,7 +155,7 @@ class _Run:
                 else:
                     small = self.first_generations or (start is not None and start.axes is not None)
                     finishing = ROUGH_POPULATION if small else FINISH_POPULATION
-                    if stages and stages[-1].stop_reason == "unexplained":
+                    if len(ends) == 2:
                         finishing = UNEXPLAINED_POPULATION
                     searching = name == self.settings.algorithm
                     population = self.settings.population if searching else finishing
@@ -179,11 +181,11 @@ class _Run:
             if name == "least-squares" and not space.stated:
                 ends.append((float(stage.cost.min()), start))
                 least, start = min(ends, key=lambda end: end[0])
-                over_noise = least / noise_floor(self.objective.blocks)
-                if len(ends) == 1 and over_noise > ASTRAY:
+                agreed = len(ends) == 2 and stage.stop_reason == "converged" and least == ends[1][0]
+                if stage.stop_reason == "unexplained" and len(ends) == 1:
                     # A wrong model that fits the first part of a window may not fit the whole window.
                     left += [self.settings.algorithm, name]
-                elif over_noise > _ALL_BUT_NOISE and (len(ends) == 1 or stage.stop_reason != "converged"):
+                elif least > _ALL_BUT_NOISE * noise_floor(self.objective.blocks) and not agreed:
                     # The cost is rough: CMA-ES goes on from there.
                     left.append("cmaes")
         # The run was farther when it was killed or stopped before.
@@ -215,9 +217,9 @@ class _Run:
             limits = replace(limits, stop_tolerance=0.0, max_generations=sys.maxsize)
         elif name == "cmaes":
             window = 10 + ceil(30 * len(self.objective.space.free) / population)
-            limits = replace(
-                limits, stop_reading="relative", stop_window=window, stop_tolerance=CMAES_TOLERANCE
-            )
+            # The stages of least squares were two.
+            tolerance = _UNEXPLAINED_TOLERANCE if number == 4 else CMAES_TOLERANCE
+            limits = replace(limits, stop_reading="relative", stop_window=window, stop_tolerance=tolerance)
         elif few := self.first_generations or fast * (_MORE_GENERATIONS if number else _FIRST_GENERATIONS):
             limits = replace(limits, max_generations=min(limits.max_generations, few))
         return limits
