@@ -12,8 +12,7 @@ residuals r in units of what NRMSE divides by, ``s_k <= s_k'/2 + mean(r_k²)/(2 
 gradient at ``s_k' = s_k``: a sum of squares weighted by the blocks' present scores descends where C does.
 After the third contact of a drop the cost is rough, and a fit of the whole window stops in the first dent.
 The finisher therefore begins with the first part of every trial's window and lets it grow. Where the model is
-wrong, that may lead away from the best fit of the whole, so a second finisher begins with whole windows: few
-fronts, and more of them where no two end alike.
+wrong, that may lead away from the best fit of the whole, so a second finisher begins with whole windows.
 """
 
 from __future__ import annotations
@@ -311,9 +310,8 @@ class MeanNrmse:
 
 # Stages of the finisher: part of the window [1], fronts, iterations at most, central differences.
 STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
-# Fronts that begin with whole windows, and those that follow where no two of the former end alike.
-_WHOLE_FEW, _WHOLE_MORE = (1.0, 4, 8, False), (1.0, 8, 6, False)
-_WHOLE_LAST = (1.0, 1, 8, True)
+# The same where the walk begins with whole windows.
+_WHOLE = ((1.0, 6, 8, False), (1.0, 1, 8, True))
 # Two ends whose NRMSE differs by less than this share count as one optimum.
 _ALIKE = 1e-3
 # The first windows were fitted with stated values as they are stated. Where these were wrong, a later bounce
@@ -335,27 +333,19 @@ class LeastSquares(Breeder):
         """
         self._objective = objective
         self._whole, self._agreed = whole, False
-        count = _WHOLE_FEW[1] + _WHOLE_MORE[1] if whole else STAGES[0][1]
-        self._fronts = Fronts.at(_distinct(cube, count))
+        self._stages = _WHOLE if whole else STAGES
+        self._fronts = Fronts.at(_distinct(cube, self._stages[0][1]))
         self._scored = {point.tobytes(): float(value) for point, value in zip(cube, cost, strict=True)}
         self._walk = self._staged()
         self._asked: FloatArray | None = next(self._walk)
 
     def _staged(self) -> Walk:
-        if self._whole:
-            few = self._fronts.part(slice(_WHOLE_FEW[1]))
-            yield from self._through([_WHOLE_FEW], few)
-            self._agreed = _alike(few.cost)
-            more = self._fronts.part(slice(_WHOLE_FEW[1], None))
-            if not self._agreed and len(more.points):
-                yield from self._through([_WHOLE_MORE], more)
-            yield from self._through([_WHOLE_LAST], self._fronts)
-            return
-        yield from self._through(STAGES[:-1], self._fronts)
+        yield from self._through(self._stages[:-1], self._fronts)
+        self._agreed = self._whole and _alike(self._fronts.cost)
         stated = bool(self._objective.space.stated)
-        # Where more is left than noise, the search goes on, so that this end need not be exact.
-        if stated or self.ended == "converged":
-            yield from self._through(STAGES[-1:], self._fronts)
+        # Where more is left than noise, the search goes on, so that the first end need not be exact.
+        if stated or self._whole or self.ended == "converged":
+            yield from self._through(self._stages[-1:], self._fronts)
         if not stated:
             return
         self._fronts.sort()
