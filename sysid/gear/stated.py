@@ -289,11 +289,11 @@ class Moved:
         """Change simulated samples (P, n, 6) [SI] of a drop to what the capture would have seen."""
         if not self.levelled[drop]:
             samples[:, :, 2] -= self.tilt[:, None]
-        for p in np.flatnonzero(self.tilt):
-            for k in (0, 3):
-                samples[p, :, k], samples[p, :, k + 1] = _rotated(
-                    samples[p, :, k], samples[p, :, k + 1], -self.tilt[p]
-                )
+        # Rows without a tilt keep their bits.
+        tilted = np.flatnonzero(self.tilt)
+        for k in (0, 3):
+            turned = _rotated(samples[tilted, :, k], samples[tilted, :, k + 1], -self.tilt[tilted, None])
+            samples[tilted, :, k], samples[tilted, :, k + 1] = turned
         x, z = self._turned(samples[:, :, 2])
         samples[:, :, 0] -= x - self.surface[:, drop, None, 0]
         samples[:, :, 1] -= z - self.surface[:, drop, None, 1]
