@@ -164,7 +164,7 @@ class _Run:
                     if start is not None:
                         start = replace(start, mean=start.mean[:n_found], spread=start.spread[:n_found])
                     bred = Keeping(breeder(name, n_found, population, own, start), kept_values)
-                    if ends and searching:
+                    if ends and left:
                         bred = searched or self._again(bred, len(stages[0].cost))
                     searched = bred
                 stage = self._bred(name, bred, self._limits(name, number, population, last=not left))
@@ -181,11 +181,11 @@ class _Run:
             if name == "least-squares" and not space.stated:
                 ends.append((float(stage.cost.min()), start))
                 least, start = min(ends, key=lambda end: end[0])
-                agreed = len(ends) == 2 and stage.stop_reason == "converged" and least == ends[1][0]
+                done = len(ends) == 2 and stage.stop_reason == "converged" and least == ends[1][0]
                 if stage.stop_reason == "unexplained" and len(ends) == 1:
                     # A wrong model that fits the first part of a window may not fit the whole window.
                     left += [self.settings.algorithm, name]
-                elif least > _ALL_BUT_NOISE * noise_floor(self.objective.blocks) and not agreed:
+                elif least > _ALL_BUT_NOISE * noise_floor(self.objective.blocks) and not done:
                     # The cost is rough: CMA-ES goes on from there.
                     left.append("cmaes")
         # The run was farther when it was killed or stopped before.

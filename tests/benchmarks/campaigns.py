@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fakes.foreign_gear import drawn_terms, simulator
 from sysid.gear import model
 from sysid.synthetic import DropPlan, synthesize_gear, synthesize_motor
 from sysid.synthetic.motor import TRUE_MOTOR
@@ -53,6 +54,11 @@ def _bad_drop(folder, surface):
     return out.parent
 
 
+def _foreign(folder, seed):
+    """Drops of a gear with three terms that the model lacks."""
+    return synthesize_gear(folder, seed=seed, surface="lf", simulate=simulator(**drawn_terms(seed, 3)))
+
+
 def _motor(folder, seed, size):
     scaled = {
         "rotor_inertia": size, "winding_resistance": size**-0.5, "winding_inductance": size**0.5,
@@ -69,6 +75,8 @@ CAMPAIGNS = {
     "motor-small": ("half the rotor", lambda folder: _motor(folder, 3, 0.5)),
     "motor-large": ("twice the rotor", lambda folder: _motor(folder, 4, 2.0)),
 }
+for _seed in (101, 103, 104):
+    CAMPAIGNS[f"lf-foreign-{_seed}"] = ("three foreign terms", lambda f, seed=_seed: _foreign(f, seed))
 for _law in ("lf", "hf"):
     CAMPAIGNS |= {
         f"{_law}": ("six sample-like drops", lambda f, s=_law: _gear(f, s, 1, drawn=False)),
