@@ -80,7 +80,7 @@ class BlockStore:
             raise self.ERROR(self._running(self.result)) from None
         except OSError as error:
             raise self.ERROR(
-                f"{self.folder}: cannot be made ({error.strerror or error}); choose another place with --out"
+                f"{self.result}: cannot be made ({error.strerror or error}); choose another place with --out"
             ) from error
         try:
             self._check(resume, force)

@@ -52,9 +52,9 @@ def _sentence(path: Path, error: BaseException) -> str:
         what = "is not a folder" if folder.exists() else "does not exist"
         return f"{path}: cannot be written: the folder {folder} {what}; make it first or choose another place"
     why = getattr(error, "strerror", None) or str(error).splitlines()[0]
+    freed = "" if isinstance(error, PermissionError) else "free some space or "
     return (
-        f"{path}: cannot be written ({why}); what was there before is unchanged: "
-        "free some space or choose another place"
+        f"{path}: cannot be written ({why}); what was there before is unchanged: {freed}choose another place"
     )
 
 
@@ -196,7 +196,8 @@ def check_folder(
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     if not force:
-        raise error_type(f"{path} exists already; choose a new name or replace it with --force")
+        replaced = " or replace it with --force" if (path / marker).is_file() else ""
+        raise error_type(f"{path} exists already; choose a new name{replaced}")
     if not (path / marker).is_file():
         raise error_type(
             f"{path} holds no {marker}, so it is not a result folder and is not replaced; choose a new name"

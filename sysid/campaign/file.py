@@ -51,8 +51,11 @@ def read_campaign(path: str | Path, kind: str | None = None, *, exact: bool | No
         absent = CampaignFileError(f"{path}: no such campaign file; 'sysid new-campaign' writes one")
         raise absent.also(FileNotFoundError) from None
     except (OSError, UnicodeDecodeError) as error:
+        why: object = error
+        if isinstance(error, UnicodeDecodeError):
+            why = f"byte {error.object[error.start]:#04x} at {error.start}"
         raise CampaignFileError(
-            f"{path}: cannot be read as UTF-8 text ({error}); name a campaign, which is a TOML file in UTF-8"
+            f"{path}: cannot be read as UTF-8 text ({why}); name a campaign, which is a TOML file in UTF-8"
         ) from error
     try:
         data = tomllib.loads(text)

@@ -325,6 +325,10 @@ def use_tables(document: ValidationDocument | CrossValidationDocument) -> list[T
         value = getattr(row[1], which)
         return value if isinstance(value, str) else number(value, 4)
 
+    def two_digits(value: float) -> str:
+        # As 110, not 1.1e+02.
+        return number(float(f"{value:.2g}"))
+
     single = table(
         "numbers of use, predicted",
         rows,
@@ -344,8 +348,8 @@ def use_tables(document: ValidationDocument | CrossValidationDocument) -> list[T
         (
             words("what", attrgetter("what")),
             words("unit", attrgetter("unit")),
-            numbers("off by", lambda row: number(row.error, 2)),
-            numbers("95 % half-width", lambda row: number(row.half_width, 2)),
+            numbers("off by", lambda row: two_digits(row.error)),
+            numbers("95 % half-width", lambda row: two_digits(row.half_width)),
             words("held", lambda row: f"{row.held} of {row.count}"),
         ),
         "medians over the trials",
@@ -499,4 +503,6 @@ def print_validation(
         print_table(part)
     if document.use is not None and document.use.sentence:
         print_lines([document.use.sentence])
-    print_lines(document.reasons or ["not flagged: the NRMSE is within what noise explains"])
+    worst = max(document.trials, key=lambda trial: trial.ratio)
+    mean = f"mean over {len(document.trials)} trials {document.ratio:.2f} × noise alone"
+    print_lines(document.reasons or [f"not flagged: {mean} (worst {worst.name}: {worst.ratio:.2f} ×)"])

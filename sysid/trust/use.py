@@ -44,7 +44,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from sysid.documents import Part
+from sysid.documents import Part, rounded
 from sysid.fit.story import Read
 
 PREDICTS, ROUGHLY, NOT = "predicts", "predicts roughly", "does not predict"
@@ -110,7 +110,7 @@ class Use(Part):
     @property
     def in_widths(self) -> str:
         """The half-widths in words, each with its unit on one line."""
-        parts = (f"{each.what} ±\u00a0{each.half_width:.2g}\u00a0{each.unit}" for each in self.widths)
+        parts = (f"{each.what} ±\u00a0{rounded(each.half_width, 2)}\u00a0{each.unit}" for each in self.widths)
         return ", ".join(parts)
 
     @property

@@ -158,6 +158,7 @@ def fit_campaign(
                 except BaseException:
                     # Neither Ctrl-C nor a fault in the intervals loses the sets; --resume makes them.
                     write_fit(result, folder, replaces)
+                    tell(f"{folder}: the sets are written; their intervals are missing")
                     raise
             written = write_fit(result, folder, replaces, shown=shown, beside=beside)
             if outcome.cut is None:

@@ -145,7 +145,7 @@ def _print_rows(console: Console, reports: Sequence[LogReport]) -> None:
             "rate", lambda report: number(max((c.rate for c in report.channels), default=np.nan), 5), "Hz"
         ),
         numbers("touchdown", of_drop(lambda drop: f"{drop.touchdown:.3f}"), "s") if drops else None,
-        numbers("impact", of_drop(lambda drop: f"{drop.impact_speed:.2f}"), "m/s") if drops else None,
+        numbers("impact", of_drop(_impact), "m/s") if drops else None,
         numbers("slope", degrees, "deg") if drops else None,
         numbers("top speed", of_bench(lambda bench: bench.top_speed), "rad/s") if benches else None,
         numbers("command levels", of_bench(lambda bench: bench.commands)) if benches else None,
@@ -311,13 +311,17 @@ def print_log(console: Console, report: LogReport) -> None:
             console.print(Text(f"  note: {note}"))
 
 
+def _impact(drop: DropReport) -> str:
+    return f"{drop.impact_speed:.2f} ± {drop.impact_speed_error:.2f}"
+
+
 def _drop_lines(drop: DropReport) -> list[str]:
     begin = "in motion from the start of its flight"
     if drop.release is not None:
         begin = f"released at {drop.release:.4f} ± {drop.release_error:.4f} s"
     lines = [
         f"drop of {drop.body}: {begin}, touchdown near {drop.touchdown:.3f} ± {drop.touchdown_error:.3f} s "
-        f"at {drop.impact_speed:.2f} ± {drop.impact_speed_error:.2f} m/s after "
+        f"at {_impact(drop)} m/s after "
         f"{1e3 * drop.fall_height:.0f} mm; falls with {drop.gravity:.2f} m/s²",
         f'suggested: up = "{drop.up}"' + (f', down_slope = "{drop.down_slope}"' if drop.down_slope else ""),
     ]

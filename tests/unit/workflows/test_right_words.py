@@ -278,8 +278,8 @@ def test_eight_drops_are_looked_at_in_a_row_each(run, monkeypatch):
     lines = run("inspect", logs)[1].splitlines()
     assert len(lines) <= 25
     (row,) = (line.split() for line in lines if "drop-4" in line and "note" not in line)
-    # Touchdown [s], its speed [m/s] and the slope [deg] that its name states.
-    assert row[2:] == ["13.493", "1.11", "20.0"]
+    # Touchdown [s], its speed [m/s] with its error, and the slope [deg] that its name states.
+    assert row[2:] == ["13.493", "1.11", "±", "0.17", "20.0"]
     assert sum("time rebuilt from frame numbers" in line for line in lines) == 1
     assert len(run("inspect", logs, "--details")[1].splitlines()) > 150
     assert "board-1/position" in run("inspect", logs / "drop-1-5deg-0.50mps.csv")[1]
