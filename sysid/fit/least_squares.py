@@ -312,6 +312,8 @@ class MeanNrmse:
 STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
 # The same where the walk begins with whole windows.
 _WHOLE = ((1.0, 6, 8, False), (1.0, 1, 8, True))
+# NRMSE over noise [1] above which what fits a part of the windows leads astray: no last stage follows.
+_ASTRAY = 2.2
 # Two ends whose NRMSE differs by less than this share count as one optimum.
 _ALIKE = 1e-3
 # The first windows were fitted with stated values as they are stated. Where these were wrong, a later bounce
@@ -343,8 +345,7 @@ class LeastSquares(Breeder):
         yield from self._through(self._stages[:-1], self._fronts)
         self._agreed = self._whole and _alike(self._fronts.cost)
         stated = bool(self._objective.space.stated)
-        # Where more is left than noise, the search goes on, so that the first end need not be exact.
-        if stated or self._whole or self.ended == "converged":
+        if stated or self._whole or not self._over_noise > _ASTRAY:
             yield from self._through(self._stages[-1:], self._fronts)
         if not stated:
             return
@@ -394,9 +395,12 @@ class LeastSquares(Breeder):
     @property
     def ended(self) -> StopReason:
         """Why the walk ended: it converged, or more is left than noise explains and no two fronts agree."""
-        explained = EXPLAINED * noise_floor(self._objective.blocks)
-        unexplained = np.exp(self._fronts.cost.min() / 2) > explained and not self._agreed
-        return "unexplained" if unexplained else "converged"
+        return "unexplained" if self._over_noise > EXPLAINED and not self._agreed else "converged"
+
+    @property
+    def _over_noise(self) -> float:
+        """The lowest NRMSE over that of noise alone [1]; NaN where no noise is known."""
+        return float(np.exp(self._fronts.cost.min() / 2) / noise_floor(self._objective.blocks))
 
     def start(self) -> Start:
         """Return where and along which axes CMA-ES goes on: at the best front, by the cost's curvature."""

@@ -34,7 +34,7 @@ from sysid.fit.least_squares import LeastSquares
 from sysid.fit.problem import Problem
 from sysid.fit.settings import SearchSettings
 from sysid.fit.stopping import CutReason, StopReason
-from sysid.fit.trial import count_causes, noise_floor
+from sysid.fit.trial import EXPLAINED, count_causes, noise_floor
 from sysid.types import FloatArray
 
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
@@ -46,10 +46,8 @@ CMAES_SPREAD = 0.01
 # Population of CMA-ES as a finisher; chosen by tests/benchmarks/engine.py.
 FINISH_POPULATION = 64
 # Population of CMA-ES after least squares, and of a search of few parameters: the axes of the cost are known,
-# so a small population has to learn no others. The cost of a wrong model has more dents.
-ROUGH_POPULATION, UNEXPLAINED_POPULATION = 16, 24
-# Tolerance of CMA-ES there: nobody needs the digits of a fit that a missing term has moved.
-_UNEXPLAINED_TOLERANCE = 2e-4
+# so a small population has to learn no others.
+ROUGH_POPULATION = 16
 # Generations that least squares needs to find its starts, and as many more as it needs for whole windows.
 _FIRST_GENERATIONS, _MORE_GENERATIONS = 3, 7
 # Cumulative share of the budget that each non-final stage may use [1], without and with least squares.
@@ -155,8 +153,6 @@ class _Run:
                 else:
                     small = self.first_generations or (start is not None and start.axes is not None)
                     finishing = ROUGH_POPULATION if small else FINISH_POPULATION
-                    if len(ends) == 2:
-                        finishing = UNEXPLAINED_POPULATION
                     searching = name == self.settings.algorithm
                     population = self.settings.population if searching else finishing
                     child = np.random.SeedSequence(seed, spawn_key=(number,))
@@ -181,11 +177,14 @@ class _Run:
             if name == "least-squares" and not space.stated:
                 ends.append((float(stage.cost.min()), start))
                 least, start = min(ends, key=lambda end: end[0])
-                done = len(ends) == 2 and stage.stop_reason == "converged" and least == ends[1][0]
+                floor = noise_floor(self.objective.blocks)
+                # Two fronts over whole windows agree on what noise does not explain.
+                agreed = len(ends) == 2 and stage.stop_reason == "converged" and least > EXPLAINED * floor
+                done = agreed and least == ends[1][0]
                 if stage.stop_reason == "unexplained" and len(ends) == 1:
                     # A wrong model that fits the first part of a window may not fit the whole window.
                     left += [self.settings.algorithm, name]
-                elif least > _ALL_BUT_NOISE * noise_floor(self.objective.blocks) and not done:
+                elif least > _ALL_BUT_NOISE * floor and not done:
                     # The cost is rough: CMA-ES goes on from there.
                     left.append("cmaes")
         # The run was farther when it was killed or stopped before.
@@ -217,9 +216,9 @@ class _Run:
             limits = replace(limits, stop_tolerance=0.0, max_generations=sys.maxsize)
         elif name == "cmaes":
             window = 10 + ceil(30 * len(self.objective.space.free) / population)
-            # The stages of least squares were two.
-            tolerance = _UNEXPLAINED_TOLERANCE if number == 4 else CMAES_TOLERANCE
-            limits = replace(limits, stop_reading="relative", stop_window=window, stop_tolerance=tolerance)
+            limits = replace(
+                limits, stop_reading="relative", stop_window=window, stop_tolerance=CMAES_TOLERANCE
+            )
         elif few := self.first_generations or fast * (_MORE_GENERATIONS if number else _FIRST_GENERATIONS):
             limits = replace(limits, max_generations=min(limits.max_generations, few))
         return limits
