@@ -312,7 +312,7 @@ class MeanNrmse:
 STAGES = ((0.15, 6, 6, False), (0.4, 4, 5, False), (1.0, 3, 6, False), (1.0, 2, 8, True))
 # The same where the walk begins with whole windows.
 _WHOLE = ((1.0, 6, 8, False), (1.0, 1, 8, True))
-# NRMSE over noise [1] above which what fits a part of the windows leads astray: no last stage follows.
+# NRMSE over noise [1] above which a fit that began with partial windows is too far off for a last stage.
 _ASTRAY = 2.2
 # Two ends whose NRMSE differs by less than this share count as one optimum.
 _ALIKE = 1e-3
@@ -411,7 +411,7 @@ class LeastSquares(Breeder):
 
 
 def _alike(cost: FloatArray) -> bool:
-    """Whether the two lowest of the fronts' costs (F,) [1] are those of one optimum."""
+    """Return whether the two best fronts have reached the same optimum, by the costs (F,) of all [1]."""
     least = np.sort(cost)[:2]
     return len(least) == 2 and bool(np.isfinite(least).all() and np.ptp(least) <= 2 * _ALIKE)
 

@@ -179,12 +179,11 @@ class _Run:
                 least, start = min(ends, key=lambda end: end[0])
                 floor = noise_floor(self.objective.blocks)
                 # Two fronts over whole windows agree on what noise does not explain.
-                agreed = len(ends) == 2 and stage.stop_reason == "converged" and least > EXPLAINED * floor
-                done = agreed and least == ends[1][0]
+                agreed = stage.stop_reason == "converged" and EXPLAINED * floor < least == ends[-1][0]
                 if stage.stop_reason == "unexplained" and len(ends) == 1:
                     # A wrong model that fits the first part of a window may not fit the whole window.
                     left += [self.settings.algorithm, name]
-                elif least > _ALL_BUT_NOISE * floor and not done:
+                elif least > _ALL_BUT_NOISE * floor and not agreed:
                     # The cost is rough: CMA-ES goes on from there.
                     left.append("cmaes")
         # The run was farther when it was killed or stopped before.

@@ -325,10 +325,6 @@ def use_tables(document: ValidationDocument | CrossValidationDocument) -> list[T
         value = getattr(row[1], which)
         return value if isinstance(value, str) else number(value, 4)
 
-    def two_digits(value: float) -> str:
-        # As 110, not 1.1e+02.
-        return number(float(f"{value:.2g}"))
-
     single = table(
         "numbers of use, predicted",
         rows,
@@ -348,8 +344,8 @@ def use_tables(document: ValidationDocument | CrossValidationDocument) -> list[T
         (
             words("what", attrgetter("what")),
             words("unit", attrgetter("unit")),
-            numbers("off by", lambda row: two_digits(row.error)),
-            numbers("95 % half-width", lambda row: two_digits(row.half_width)),
+            numbers("off by", lambda row: rounded(row.error, 2)),
+            numbers("95 % half-width", lambda row: rounded(row.half_width, 2)),
             words("held", lambda row: f"{row.held} of {row.count}"),
         ),
         "medians over the trials",

@@ -195,8 +195,7 @@ def test_least_squares_leaves_fronts_that_fail_and_bounds_that_hold():
 
 
 def test_a_wrong_model_is_fitted_over_whole_windows_as_well():
-    wrong = Decay()
-    wrong.measured = wrong.measured + 0.2 * np.sin(9 * wrong.trials[0].time)
+    wrong = Decay(0.0, 0.2)
     settings = SearchSettings(population=40, runs=1, seed=3)
     run, plain = run_one(wrong, settings), run_one(wrong, replace(settings, finish="cmaes"))
     # Two fronts end in one optimum, so that no CMA-ES follows.
