@@ -167,8 +167,8 @@ def descend(
                 )
             scale = weighing.scale(front, current[front])
             weighted = derivatives[front] * scale
-            gradient = np.einsum("im,m->i", weighted, current[front] * scale)
-            curvature = fronts.curvature[front] = np.einsum("im,jm->ij", weighted, weighted)
+            gradient = weighted @ (current[front] * scale)
+            curvature = fronts.curvature[front] = weighted @ weighted.T
             # A coordinate at its bound whose descent leads out of the cube stays there.
             stuck = (
                 ((at <= 0) & (gradient > 0)) | ((at >= 1) & (gradient < 0)) | ~usable[front] | fixed[front]
