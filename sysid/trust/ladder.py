@@ -60,6 +60,8 @@ _CHANGES = 4096
 # Starts of a term's walks, less the term's value in the paper's model [unit cube]: the walk from 0 cannot end
 # worse than the model without the term.
 _STARTS = (0.0, -0.15, 0.05, 0.3)
+# Share of its NRMSE by which a fit may lie above another with fewer terms [1].
+_AS_LOW = 1e-3
 # Number of random starts of a simpler model, besides the one at the values of the base.
 _AROUND = 7
 # Number of iterations of a fit without one trial or part.
@@ -181,12 +183,16 @@ class Climber:
     def _together(self, base: TermFit, alone: Sequence[TermFit]) -> list[TermFit]:
         """Return the terms to keep, one more on each rung, the most certain first."""
         terms = tuple(rung.terms[0] for rung in alone)
-        rung = self._fitted_near(terms, base.values)
+        rung = self._fitted_near(terms, min(alone, key=lambda rung: rung.nrmse).values)
         while rung.terms:
             rung, chances, needed = self._by_certainty(rung, len(terms))
             if not needed and chances[-1] >= CERTAIN:
                 return []
             below = self._fitted_near(rung.terms[:needed], rung.values)
+            if below.nrmse < (1.0 - _AS_LOW) * rung.nrmse:
+                # More terms cannot fit worse: the walk with all of them ended too early to tell what goes.
+                rung = self._fitted_near(rung.terms, below.values)
+                continue
             if chances[-1] < CERTAIN:
                 rung, below = self._left_out(rung), self._left_out(below)
                 if _gains(rung, below).mean() > LEAST_GAIN:
