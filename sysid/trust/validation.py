@@ -12,6 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sysid.fit.adequacy import UNSEARCHED
+from sysid.fit.result import FitResult
 from sysid.fit.trial import Trial
 from sysid.trust.documents import JudgedTrial, Leaves, Overall
 from sysid.trust.use import PREDICTS, judged_use
@@ -88,10 +90,12 @@ def _ratios(trials: Sequence[JudgedTrial]) -> tuple[FloatArray, FloatArray]:
     return whole, early
 
 
-def reasons(trials: Sequence[JudgedTrial], *, predicts: bool = False) -> tuple[str, ...]:
+def reasons(
+    trials: Sequence[JudgedTrial], *, predicts: bool = False, searched: bool = True
+) -> tuple[str, ...]:
     """Return why a prediction is flagged, one sentence per number; none where noise explains it.
 
-    If it `predicts` nevertheless, its fixed values need not be wrong.
+    If it `predicts` nevertheless, or was not `searched` to an end, its fixed values need not be wrong.
     """
     out = []
     within = "more than noise, yet the numbers of use lie within their bands"
@@ -101,7 +105,8 @@ def reasons(trials: Sequence[JudgedTrial], *, predicts: bool = False) -> tuple[s
         (early, RATIO_EARLY, " up to the third touchdown", "chaos does not explain it"),
     ):
         if np.isfinite(ratios).any() and np.nanmean(ratios) > limit:
-            worst, meaning = int(np.nanargmax(ratios)), within if predicts else cause
+            worst = int(np.nanargmax(ratios))
+            meaning = within if predicts else cause if searched else UNSEARCHED
             out.append(
                 f"NRMSE{where} is {np.nanmean(ratios):.2f} × what noise alone costs, mean over {len(trials)} "
                 f"trials (limit {limit:g}; worst {trials[worst].name}, {ratios[worst]:.2f} ×): {meaning}"
@@ -109,20 +114,20 @@ def reasons(trials: Sequence[JudgedTrial], *, predicts: bool = False) -> tuple[s
     return tuple(out)
 
 
-def judgement(trials: Sequence[JudgedTrial], nrmse_fitted: float, *, drawn: bool) -> Overall:
+def judgement(trials: Sequence[JudgedTrial], fit: FitResult, *, drawn: bool) -> Overall:
     """Return what a validation or cross-validation states of all trials together, for its document.
 
     What is of use has a word where predictions by draws stand behind the trials' numbers (`drawn`).
     """
     use = judged_use(((trial.numbers, trial.ends) for trial in trials), drawn=drawn)
-    why = reasons(trials, predicts=use.word == PREDICTS)
+    why = reasons(trials, predicts=use.word == PREDICTS, searched=fit.agreement.finished > 0)
     whole, early = _ratios(trials)
     return Overall(
         flagged=bool(why),
         reasons=list(why),
         limits={"ratio": RATIO, "ratio_third_contact": RATIO_EARLY, "leaves": LEAVES},
         nrmse=float(np.mean([trial.nrmse[0] for trial in trials])),
-        nrmse_fitted=nrmse_fitted,
+        nrmse_fitted=float(fit.nrmse[0]),
         ratio=float(np.mean(whole)),
         ratio_third_contact=float(np.mean(early)),
         use=use,

@@ -19,7 +19,7 @@ from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
 from sysid.fit.kind import Course, FitOutcome
-from sysid.fit.optima import agreement, loose_findings, waterfall
+from sysid.fit.optima import CUT, agreement, loose_findings, waterfall
 from sysid.fit.problem import Problem, computed_by
 from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult, bound_findings, ranked_sets
@@ -124,7 +124,8 @@ def fit_campaign(
             runs, cut = _search(fitted, limited, options, checkpoint, progress, should_stop, candidate_time)
             sets = ranked_sets(runs, problem.space)
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
-            judged = _judged(problem.fitted.exact, outcome)
+            searched = any(run.stop_reason not in CUT for run in runs)
+            judged = _judged(problem.fitted.exact, outcome, searched=searched)
             record = {**provenance(search, story, folder), **expected, "adequacy": judged.model_dump()}
             follows = options.trust and outcome.cut is None
             # A spread of the sets beside an interval is a second claim; of a wrong model it is none.
@@ -193,11 +194,12 @@ def _not_assessed(outcome: FitOutcome, follows: bool, folder: Path) -> Iterator[
             yield about(row, "not-assessed", sentence)
 
 
-def _judged(fitted: Problem, outcome: FitOutcome) -> Adequacy:
+def _judged(fitted: Problem, outcome: FitOutcome, *, searched: bool) -> Adequacy:
     """Return whether noise explains what the best set leaves; tell so if it does."""
     sides = zip(outcome.records, outcome.at_bound[0].tolist(), strict=True)
     at_bound = {record.name: side for record, side in sides if record.status == "free"}
-    judged = adequacy(fitted, outcome.rows[0], at_bound, float(outcome.nrmse[0]))
+    row, nrmse = outcome.rows[0], float(outcome.nrmse[0])
+    judged = adequacy(fitted, row, at_bound, nrmse, searched=searched)
     if judged.verdict == EXPLAINED_BY:
         tell(judged.sentence, detail=True)
     return judged

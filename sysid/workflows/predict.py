@@ -193,7 +193,7 @@ def validate_fit(
             fit=result.name,
             kind=result.kind,
             campaign=stated,
-            **vars(judgement(trials, float(result.nrmse[0]), drawn=draws is not None)),
+            **vars(judgement(trials, result, drawn=draws is not None)),
             trials=trials,
             warnings=journal.sentences(),
         )
@@ -306,7 +306,7 @@ def cross_validate(
             fit=result.name,
             kind=result.kind,
             campaign=opened.stated,
-            **vars(judgement(judged, float(result.nrmse[0]), drawn=draws is not None)),
+            **vars(judgement(judged, result, drawn=draws is not None)),
             trials=[
                 LeftOutTrial(**vars(trial), refit=dict(zip(space.names, refit, strict=True)))
                 for trial, refit in zip(judged, decoded.tolist(), strict=True)

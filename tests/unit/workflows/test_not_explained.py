@@ -93,6 +93,19 @@ def test_not_explained_is_said_first_and_last_with_one_number(fit):
         assert words in last
 
 
+def test_a_model_is_not_blamed_before_a_run_of_the_search_has_ended(fit, run):
+    cut = fit(trust=False, max_evaluations=30)
+    (said,) = (line for line in cut.heard if "not explained" in line)
+    assert "; no run of the search has ended by itself, so a better fit is likely [" in said
+    assert "the model lacks something" not in said
+    assert cut.result.provenance["adequacy"]["symptoms"] == []
+    assert not any(" check " in line or " explain " in line for line in cut.printed)
+    code, out, _ = run("validate", cut.folder, cut.folder.parent / "lag.toml")
+    assert code == 3
+    assert "fixed values are wrong" not in out
+    assert "so a better fit is likely" in out
+
+
 def test_without_intervals_no_digits_of_a_symptom_are_printed_or_exported(fit, run, tmp_path):
     done = fit(trust=False)
     out = run("show", done.folder)[1]
