@@ -89,8 +89,8 @@ class Agreement:
         if others.max() <= best * (1 + SAME_NRMSE):
             return (
                 f"{self.reached} of {runs} runs reached the best optimum and the others end as low in "
-                f"{places} other {word}: the data prefer none of these sets; compare them before one "
-                "is used"
+                f"{places} other {word}: the data prefer none of these sets; sysid show prints them side by "
+                "side"
             )
         alone = " alone" if self.reached == 1 else ""
         return (

@@ -127,8 +127,8 @@ class StandValues:
             p = self.power
             low, high = (1e3 * end for end in p.interval_95)
             yield (
-                f"lost power of {len(p.speeds)} steady levels: R {1e3 * p.resistance:.3g} mΩ ({low:.3g} to "
-                f"{high:.3g}) and {1e3 * p.friction_torque:.2g} mN·m of friction at Kv "
+                f"lost power of {len(p.speeds)} steady levels: an apparent R of {1e3 * p.resistance:.3g} mΩ "
+                f"({low:.3g} to {high:.3g}) and {1e3 * p.friction_torque:.2g} mN·m of friction at Kv "
                 f"{_rpm(1 / p.torque_constant):.4g} rpm/V; supply current and torque are possible with a Kv "
                 f"of {_rpm(p.least_kv):.4g} rpm/V or more"
             )
@@ -192,7 +192,7 @@ class StandValues:
                 "one resistance does not explain the lost power: over the square of the motor's current it "
                 f"is {1e3 * each[0]:.0f} mΩ at the lowest load, {1e3 * min(each):.0f} mΩ at its least and "
                 f"{1e3 * each[-1]:.0f} mΩ at the highest load, because iron, controller and a warm winding "
-                "lose power too; use R at such loads only"
+                "lose power too; an R from lost power counts at such loads only"
             )
             yield Finding("power-of-no-resistance", sentence)
 

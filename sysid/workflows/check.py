@@ -135,11 +135,11 @@ def _verdicts(
             beyond.append(row.symbol)
     if beyond:
         lines.append(f"no one more {single} would determine {', '.join(beyond)}")
-    # Worth recording is what lifts a verdict.
+    # Worth recording is what makes a verdict better.
     lifting = [(c, [e.symbol for e in expected if _lifts(e, c.worse(e.name))]) for c in candidates]
-    worth = [f"{c.title} (lifts {', '.join(symbols)})" for c, symbols in lifting if symbols]
+    worth = [f"{c.title} (a better verdict on {', '.join(symbols)})" for c, symbols in lifting if symbols]
     if worth:
-        lines.append("record next: " + ", else ".join(worth[:_NAMED]))
+        lines.append("record next, for the most at once: " + ", else ".join(worth[:_NAMED]))
     return {
         "parameters": [
             ExpectedParameter(**vars(row), channels=dict(zip(problem.channels, share.tolist(), strict=True)))
