@@ -345,7 +345,7 @@ class LeastSquares(Breeder):
         yield from self._through(self._stages[:-1], self._fronts)
         self._agreed = self._whole and _alike(self._fronts.cost)
         stated = bool(self._objective.space.stated)
-        if stated or self._whole or not self._over_noise > _ASTRAY:
+        if stated or self._agreed or not (self._whole or self._over_noise > _ASTRAY):
             yield from self._through(self._stages[-1:], self._fronts)
         if not stated:
             return

@@ -40,6 +40,8 @@ from sysid.types import FloatArray
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
 # than a GA's: its window is cma's default of 10 + 30 n/P generations, its tolerance a tenth of the paper's.
 CMAES_TOLERANCE = 1e-5
+# The same after least squares, which a wrong model follows: the last 1e-4 of its misfit tell nothing.
+ROUGH_TOLERANCE = 2e-4
 # Stop CMA-ES only when the median cost lies within 1 % of the best; at the bottom of a valley this spread is
 # 1e-5 to 1e-4, at a random start 0.1 and above.
 CMAES_SPREAD = 0.01
@@ -215,9 +217,8 @@ class _Run:
             limits = replace(limits, stop_tolerance=0.0, max_generations=sys.maxsize)
         elif name == "cmaes":
             window = 10 + ceil(30 * len(self.objective.space.free) / population)
-            limits = replace(
-                limits, stop_reading="relative", stop_window=window, stop_tolerance=CMAES_TOLERANCE
-            )
+            tolerance = ROUGH_TOLERANCE if fast and number else CMAES_TOLERANCE
+            limits = replace(limits, stop_reading="relative", stop_window=window, stop_tolerance=tolerance)
         elif few := self.first_generations or fast * (_MORE_GENERATIONS if number else _FIRST_GENERATIONS):
             limits = replace(limits, max_generations=min(limits.max_generations, few))
         return limits
