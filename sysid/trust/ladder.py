@@ -2,7 +2,8 @@
 
 Each term is added alone. Terms hide one another, so that no order of adding them is safe; those to keep are
 found from above: all are fitted together, and the least certain one is taken away until every one that is
-left is needed. Several terms that may be chance are taken away between two fits: the other values and their
+left is needed. Where fewer terms fit better, the walk with more of them had ended too early and begins again
+from there. Several terms that may be chance are taken away between two fits: the other values and their
 covariance are conditioned, as in a normal distribution, on the value of a term that is off. A term is needed
 where
 
@@ -184,14 +185,16 @@ class Climber:
         """Return the terms to keep, one more on each rung, the most certain first."""
         terms = tuple(rung.terms[0] for rung in alone)
         rung = self._fitted_near(terms, min(alone, key=lambda rung: rung.nrmse).values)
+        # Lowest NRMSE of a fit with fewer terms from which the walk began again [1].
+        lowest = np.inf
         while rung.terms:
             rung, chances, needed = self._by_certainty(rung, len(terms))
             if not needed and chances[-1] >= CERTAIN:
                 return []
             below = self._fitted_near(rung.terms[:needed], rung.values)
-            if below.nrmse < (1.0 - _AS_LOW) * rung.nrmse:
+            if below.nrmse < (1.0 - _AS_LOW) * min(rung.nrmse, lowest):
                 # More terms cannot fit worse: the walk with all of them ended too early to tell what goes.
-                rung = self._fitted_near(rung.terms, below.values)
+                rung, lowest = self._fitted_near(rung.terms, below.values), below.nrmse
                 continue
             if chances[-1] < CERTAIN:
                 rung, below = self._left_out(rung), self._left_out(below)
