@@ -82,11 +82,10 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
         (f"explain {folder}", "which stated value, log or physics is wrong?"),
     )
     plugins = "".join(f" --plugin {shlex.quote(str(file))}" for file in NAMED)
-    misfits = result.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY
     for command, what in (
         *([] if result.state == "done" else [cut]),
         (f"report {folder}", "one page with every trial, to open in a browser"),
-        *(use if not misfits else mend if agreed.finished else ()),
+        *(mend if result.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY else use),
     ):
         print_lines([f"  sysid {command + plugins:<40}  {what}"])
 
