@@ -345,6 +345,7 @@ class LeastSquares(Breeder):
         yield from self._through(self._stages[:-1], self._fronts)
         self._agreed = self._whole and _alike(self._fronts.cost)
         stated = bool(self._objective.space.stated)
+        # Where no two fronts over whole windows agree, CMA-ES goes on from here.
         if stated or self._agreed or not (self._whole or self._over_noise > _ASTRAY):
             yield from self._through(self._stages[-1:], self._fronts)
         if not stated:
