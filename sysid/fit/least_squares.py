@@ -345,8 +345,9 @@ class LeastSquares(Breeder):
         yield from self._through(self._stages[:-1], self._fronts)
         self._agreed = self._whole and _alike(self._fronts.cost)
         stated = bool(self._objective.space.stated)
-        # Where no two fronts over whole windows agree, CMA-ES goes on from here.
-        if stated or self._agreed or not (self._whole or self._over_noise > _ASTRAY):
+        # A wrong model of which no two fronts agree over whole windows is left to CMA-ES.
+        most = EXPLAINED if self._whole else _ASTRAY
+        if stated or self._agreed or not self._over_noise > most:
             yield from self._through(self._stages[-1:], self._fronts)
         if not stated:
             return

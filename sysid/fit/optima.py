@@ -24,7 +24,8 @@ from sysid.types import BoolArray, FloatArray, IntArray
 SAME_NRMSE = 2e-3
 # Distance along an axis of the unit cube within which two places are one, as a share of its edge [1].
 SAME_PLACE = 0.02
-# Relative difference of NRMSE that no search resolves [1], three times the tolerance at which CMA-ES ends.
+# Relative difference of NRMSE that no search resolves [1], three times the tolerance of CMA-ES as the only
+# finisher.
 ENDS_WITHIN = 3e-5
 # Reasons that end a run before its stop rule does.
 CUT: tuple[StopReason, ...] = ("interrupted", "time", "evaluations", "generations")

@@ -40,8 +40,8 @@ from sysid.types import FloatArray
 # CMA-ES is not elitist and learns its shape over tens of generations, so its best cost stands still longer
 # than a GA's: its window is cma's default of 10 + 30 n/P generations, its tolerance a tenth of the paper's.
 CMAES_TOLERANCE = 1e-5
-# The tolerance after least squares: a model that leaves more than noise is wrong, and smaller gains than this
-# tell nothing of it.
+# The tolerance after least squares, which has found the valley: more digits would say nothing of a model that
+# leaves more than noise.
 ROUGH_TOLERANCE = 2e-4
 # Stop CMA-ES only when the median cost lies within 1 % of the best; at the bottom of a valley this spread is
 # 1e-5 to 1e-4, at a random start 0.1 and above.

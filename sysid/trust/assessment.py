@@ -179,21 +179,22 @@ def assess(
     resamples: int = 100,
     seed: int = 0,
     say: Say = None,
+    ended: bool = True,
 ) -> Assessment:
     """Assess a fit: linearized uncertainty, profiles of all free parameters, bootstrap over whole trials.
 
     `start` (n,) is the best set [unit cube]. `wider` has the terms on trial free as well; it is looked at
     where noise does not explain the trials. There is no bootstrap without `resamples` or with fewer than
-    three trials.
+    three trials. Unless a run of the search has `ended` by itself, the model is not blamed.
     """
     tell = say or (lambda sentence: None)
     tell("derivatives at the best set")
-    judged, noise, linear, without = judge_fit(problem, start)
+    judged, noise, linear, without = judge_fit(problem, start, ended)
     tell(f"profiles of {len(problem.space.found)} parameters")
     walked = walk_profiles(problem, linear, seed)
     if walked.lowered > 1.0:
         # A profile has found a better place, from which everything is judged.
-        judged, noise, linear, without = judge_fit(problem, walked.best)
+        judged, noise, linear, without = judge_fit(problem, walked.best, ended)
         again = walk_profiles(problem, linear, seed)
         walked = replace(again, evaluations=walked.evaluations + again.evaluations)
     if judged.verdict not in (EXPLAINED_BY, UNJUDGED):
@@ -211,13 +212,15 @@ def assess(
     return Assessment(judged, noise, linear, walked, without, resampled)
 
 
-def judge_fit(problem: Problem, start: FloatArray) -> tuple[Adequacy, Linearized, Linearized, Solved | None]:
+def judge_fit(
+    problem: Problem, start: FloatArray, ended: bool = True
+) -> tuple[Adequacy, Linearized, Linearized, Solved | None]:
     """Go to the minimum near a start; return how well noise explains it, and what it leaves open.
 
     What noise alone leaves open, what is left open with the misfit, and the fits without each trial.
     """
     noise = linearize(problem, start)
-    judged = _adequacy(problem, noise.point)
+    judged = _adequacy(problem, noise.point, ended)
     without = leave_one_out(problem, noise) if len(problem.trials) >= FEWEST else None
     if judged.verdict in (EXPLAINED_BY, UNJUDGED):
         return judged, noise, noise, without
@@ -236,10 +239,10 @@ def linearize_widened(problem: Problem, start: FloatArray, kept: FloatArray | No
     return linear
 
 
-def _adequacy(problem: Problem, point: FloatArray) -> Adequacy:
+def _adequacy(problem: Problem, point: FloatArray, ended: bool = True) -> Adequacy:
     space = problem.space
     sides = dict(zip(space.names, space.at_bound(point[None])[0].tolist(), strict=True))
-    return adequacy(problem, space.full(point[None])[0], sides)
+    return adequacy(problem, space.full(point[None])[0], sides, searched=ended)
 
 
 def widened(problem: Problem, linear: Linearized, without: FloatArray) -> Linearized:

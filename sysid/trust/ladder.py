@@ -1,11 +1,11 @@
 """What is missing in a model: declared terms added to a fit, judged on its noise and on trials left out.
 
 Each term is added alone. Terms hide one another, so that no order of adding them is safe; those to keep are
-found from above: all are fitted together, and the least certain one is taken away until every one that is
-left is needed. Where fewer terms fit better, the walk with more of them had ended too early and begins again
-from there. Several terms that may be chance are taken away between two fits: the other values and their
-covariance are conditioned, as in a normal distribution, on the value of a term that is off. A term is needed
-where
+found from above: all are fitted together, from where the best single term ends, and the least certain one is
+taken away until every one that is left is needed. Where a fit with fewer terms has a lower NRMSE, the fit
+with more had stopped too early; it is repeated from there. Several terms that may be chance are taken away
+between two fits: the other values and their covariance are conditioned, as in a normal distribution, on the
+value of a term that is off. A term is needed where
 
 * its value differs from none by more than chance: a Wald test with the covariance of
   `sysid.trust.linearized`, with misfit as in `sysid.trust.assessment`, times the number of terms looked at
@@ -193,14 +193,14 @@ class Climber:
                 return []
             below = self._fitted_near(rung.terms[:needed], rung.values)
             if below.nrmse < (1.0 - _AS_LOW) * min(rung.nrmse, lowest):
-                # More terms cannot fit worse: the walk with all of them ended too early to tell what goes.
+                # More terms hardly fit worse: the walk with all of them ended too early to tell what goes.
                 rung, lowest = self._fitted_near(rung.terms, below.values), below.nrmse
                 continue
             if chances[-1] < CERTAIN:
                 rung, below = self._left_out(rung), self._left_out(below)
                 if _gains(rung, below).mean() > LEAST_GAIN:
                     break
-            rung = below
+            rung, lowest = below, np.inf
         if not rung.terms:
             return []
         rungs = [rung]

@@ -95,7 +95,8 @@ def reasons(
 ) -> tuple[str, ...]:
     """Return why a prediction is flagged, one sentence per number; none where noise explains it.
 
-    If it `predicts` nevertheless, or was not `searched` to an end, its fixed values need not be wrong.
+    The fixed values need not be wrong where the numbers of use lie within their bands (`predicts`), or where
+    no run of the search has ended (`searched` is False).
     """
     out = []
     within = "more than noise, yet the numbers of use lie within their bands"
@@ -106,7 +107,8 @@ def reasons(
     ):
         if np.isfinite(ratios).any() and np.nanmean(ratios) > limit:
             worst = int(np.nanargmax(ratios))
-            meaning = within if predicts else cause if searched else UNSEARCHED
+            meaning = cause if searched else UNSEARCHED
+            meaning = within if predicts else meaning
             out.append(
                 f"NRMSE{where} is {np.nanmean(ratios):.2f} × what noise alone costs, mean over {len(trials)} "
                 f"trials (limit {limit:g}; worst {trials[worst].name}, {ratios[worst]:.2f} ×): {meaning}"

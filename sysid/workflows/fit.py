@@ -19,7 +19,7 @@ from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
 from sysid.fit.kind import Course, FitOutcome
-from sysid.fit.optima import CUT, agreement, loose_findings, waterfall
+from sysid.fit.optima import agreement, loose_findings, waterfall
 from sysid.fit.problem import Problem, computed_by
 from sysid.fit.progress import FitProgress
 from sysid.fit.result import FitResult, bound_findings, ranked_sets
@@ -124,7 +124,7 @@ def fit_campaign(
             runs, cut = _search(fitted, limited, options, checkpoint, progress, should_stop, candidate_time)
             sets = ranked_sets(runs, problem.space)
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
-            searched = any(run.stop_reason not in CUT for run in runs)
+            searched = agreement(runs).finished > 0
             judged = _judged(problem.fitted.exact, outcome, searched=searched)
             record = {**provenance(search, story, folder), **expected, "adequacy": judged.model_dump()}
             follows = options.trust and outcome.cut is None

@@ -97,6 +97,7 @@ def assess_opened(opened: OpenedFit, options: TrustOptions, journal: Journal) ->
             resamples=options.resamples,
             seed=options.seed,
             say=journal.tell,
+            ended=opened.result.agreement.finished > 0,
         )
         floors = problem.floors(space.full(assessed.linear.point[None])[0])
         trials = influence(spread, assessed.noise, floors, assessed.without)

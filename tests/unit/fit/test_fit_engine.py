@@ -12,8 +12,9 @@ import pytest
 from fakes.bowl import SHORT, Bowl, Decay, assert_same_run, assert_same_runs, run_genetic, table
 from sysid.errors import FitError
 from sysid.fit.breeders.algorithms import Start, breeder
+from sysid.fit.least_squares import LeastSquares
 from sysid.fit.result import bound_findings, ranked_sets
-from sysid.fit.search import Hooks, run_many, run_one, run_seeds
+from sysid.fit.search import CMAES_TOLERANCE, ROUGH_TOLERANCE, Hooks, _Run, run_many, run_one, run_seeds
 from sysid.fit.settings import SearchSettings
 from sysid.fit.trial import Evaluation
 from sysid.parameter_sets import parameter_records
@@ -175,6 +176,32 @@ def test_a_short_cmaes_follows_where_more_than_noise_is_left():
     smooth = run_one(Decay(0.0, 0.017), SearchSettings(population=40, runs=1, seed=3))
     assert run.best[-1] < rough.evaluate(smooth.best_point[None]).cost[0]
     assert run.best[-1] < 1.05 * smooth.best[-1]
+
+
+@pytest.mark.parametrize(
+    ("finish", "number", "tolerance"),
+    [("least-squares", 2, ROUGH_TOLERANCE), ("cmaes", 1, CMAES_TOLERANCE), ("none", 0, CMAES_TOLERANCE)],
+)
+def test_cmaes_is_loose_only_after_least_squares(finish, number, tolerance):
+    settings = SearchSettings(population=16, runs=1, finish=finish)
+    run = _Run(Decay(), settings, 0, None, None, Hooks(), None)
+    assert run._limits("cmaes", number, 16, last=True).stop_tolerance == tolerance
+
+
+@pytest.mark.parametrize("wrong", [0.0, 0.2])
+def test_whole_windows_are_polished_where_nothing_follows(wrong):
+    # A single front has no other to agree with; the last stage takes central differences, which cost twice.
+    decay = Decay(0.0, wrong)
+    start = np.array([[0.4, 0.4, 0.6]])
+    walk = LeastSquares(decay, start, decay.evaluate(start).cost, whole=True)
+    asked = []
+    while (points := walk.ask()) is not None:
+        asked.append(len(points))
+        scored, residuals = decay.examine(points)
+        walk.tell(scored.cost, residuals)
+    assert walk.ended == ("unexplained" if wrong else "converged")
+    # Three coordinates, two sides.
+    assert (6 in asked) == (wrong == 0.0)
 
 
 def test_least_squares_leaves_fronts_that_fail_and_bounds_that_hold():

@@ -8,6 +8,7 @@ import pytest
 
 from sysid import exact_json
 from sysid.errors import FitError, SysidWarning
+from sysid.fit.adequacy import UNSEARCHED
 from sysid.fit.trial import Trial
 from sysid.parameter_sets import ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
@@ -65,7 +66,8 @@ def test_a_prediction_leaves_where_it_is_off_for_good():
         "time": pytest.approx(0.55), "channel": "z_B", "after_contacts": 2,
     }  # fmt: skip
     assert "fixed values are wrong" in reasons([found])[0]
-    assert "within their bands" in reasons([found], predicts=True)[0]
+    assert UNSEARCHED in reasons([found], searched=False)[0]
+    assert "within their bands" in reasons([found], predicts=True, searched=False)[0]
     # Just below five deviations it may not leave but by the noise's own help, three times in a row.
     assert _judged(offset=0.1 * (LEAVES - 3)).leaves is None
 

@@ -75,7 +75,7 @@ def test_a_spread_of_the_sets_is_stated_where_no_interval_is_and_noise_explains(
 
 
 def test_not_explained_is_said_first_and_last_with_one_number(fit):
-    done = fit(finish="none", max_generations=8)
+    done = fit(finish="none", max_generations=400)
     printed = (re.fullmatch(r"warning: (.*) \[[a-z-]+\]", line) for line in done.heard)
     warned = [line[1] for line in printed if line]
     (first,) = (line for line in warned if "not explained" in line)
@@ -93,12 +93,17 @@ def test_not_explained_is_said_first_and_last_with_one_number(fit):
         assert words in last
 
 
-def test_a_model_is_not_blamed_before_a_run_of_the_search_has_ended(fit, run):
-    cut = fit(trust=False, max_evaluations=30)
+@pytest.mark.parametrize("trust", [False, True])
+def test_a_model_is_not_blamed_before_a_run_of_the_search_has_ended(fit, run, trust):
+    cut = fit(trust=trust, max_evaluations=30)
     (said,) = (line for line in cut.heard if "not explained" in line)
     assert "; no run of the search has ended by itself, so a better fit is likely [" in said
     assert "the model lacks something" not in said
     assert cut.result.provenance["adequacy"]["symptoms"] == []
+    if trust:
+        judged = TrustDocument.read(cut.folder).adequacy
+        assert (judged.verdict, judged.symptoms) == ("not_explained", [])
+        assert "the model lacks something" not in judged.sentence
     code, out, _ = run("validate", cut.folder, cut.folder.parent / "lag.toml")
     assert code == 3
     assert "fixed values are wrong" not in out
