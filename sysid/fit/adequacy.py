@@ -150,14 +150,14 @@ def adequacy(
     at_bound: Mapping[str, int] | None = None,
     stated_nrmse: float | None = None,
     *,
-    searched: bool = True,
+    ended: bool = True,
 ) -> Adequacy:
     """Judge a row (n_table,) of the parameter table [SI] on the trials of a problem.
 
     `at_bound` names the parameters that end at a bound of the search: -1 the lower, 1 the upper one.
     `stated_nrmse` is the NRMSE that the fit states of this row: two accuracies of a simulation differ by
-    digits that no reader should meet as two numbers. A model is not blamed before it was `searched`, which
-    means that a run of the search has ended by itself.
+    digits that no reader should meet as two numbers. A model is not blamed before a run of the search
+    has `ended` by itself.
     """
     blocks = problem.blocks
     residuals, lost = problem.compared(row[None])
@@ -211,7 +211,7 @@ def adequacy(
     verdict, but_for = verdict_of(max(ratio, misfit.channel_ratio)), ""
     if verdict != EXPLAINED_BY and not lost[0] and (but_for := _small_misfit(problem, rest)):
         verdict = ROUGHLY_BY
-    blamed = (at_bound or {}) if searched and verdict == NOT_BY else {}
+    blamed = (at_bound or {}) if ended and verdict == NOT_BY else {}
     symptoms = [name for name, side in blamed.items() if side]
     out = Adequacy(
         verdict=verdict, sentence="", nrmse=nrmse, floor=floor, ratio=ratio,
@@ -228,7 +228,7 @@ def adequacy(
         biases=[] if lost[0] else _biases(problem, whole, rest),
     )  # fmt: skip
     names = [in_words(row, of_trial=False) for row in problem.space.free if row.name in symptoms]
-    return out.model_copy(update={"sentence": _sentence(out, names, problem.remedy, searched)})
+    return out.model_copy(update={"sentence": _sentence(out, names, problem.remedy, ended)})
 
 
 def _unjudged(problem: Problem, nrmse: float) -> Adequacy:
@@ -348,7 +348,7 @@ def scores_in_words(nrmse: float, floor: float, ratio: float) -> str:
     return beside_noise(f"{100 * nrmse:.2f} %{explained.format(100 * ratio * floor)}", floor)
 
 
-def _sentence(judged: Adequacy, at_bound: Sequence[str], remedy: str, searched: bool) -> str:
+def _sentence(judged: Adequacy, at_bound: Sequence[str], remedy: str, ended: bool) -> str:
     word, where = WORDS[judged.verdict], judged.misfit
     scores = f"{scores_in_words(judged.nrmse, judged.floor, judged.ratio)}, {judged.ratio:.2f} × the noise"
     if judged.but_for:
@@ -360,7 +360,7 @@ def _sentence(judged: Adequacy, at_bound: Sequence[str], remedy: str, searched: 
         f"its noise), most {where.phase} ({where.phase_ratio:.1f} ×) and on {where.trial} "
         f"({where.trial_ratio:.1f} ×)"
     )
-    if not searched:
+    if not ended:
         return f"{text}; {UNSEARCHED}"
     if judged.verdict == NOT_BY:
         text += "; the model lacks something, so no parameter is well known"

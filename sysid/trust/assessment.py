@@ -242,7 +242,7 @@ def linearize_widened(problem: Problem, start: FloatArray, kept: FloatArray | No
 def _adequacy(problem: Problem, point: FloatArray, ended: bool = True) -> Adequacy:
     space = problem.space
     sides = dict(zip(space.names, space.at_bound(point[None])[0].tolist(), strict=True))
-    return adequacy(problem, space.full(point[None])[0], sides, searched=ended)
+    return adequacy(problem, space.full(point[None])[0], sides, ended=ended)
 
 
 def widened(problem: Problem, linear: Linearized, without: FloatArray) -> Linearized:

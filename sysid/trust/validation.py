@@ -90,13 +90,11 @@ def _ratios(trials: Sequence[JudgedTrial]) -> tuple[FloatArray, FloatArray]:
     return whole, early
 
 
-def reasons(
-    trials: Sequence[JudgedTrial], *, predicts: bool = False, searched: bool = True
-) -> tuple[str, ...]:
+def reasons(trials: Sequence[JudgedTrial], *, predicts: bool = False, ended: bool = True) -> tuple[str, ...]:
     """Return why a prediction is flagged, one sentence per number; none where noise explains it.
 
     The fixed values need not be wrong where the numbers of use lie within their bands (`predicts`), or where
-    no run of the search has ended (`searched` is False).
+    no run of the search has ended (`ended` is False).
     """
     out = []
     within = "more than noise, yet the numbers of use lie within their bands"
@@ -107,7 +105,7 @@ def reasons(
     ):
         if np.isfinite(ratios).any() and np.nanmean(ratios) > limit:
             worst = int(np.nanargmax(ratios))
-            meaning = cause if searched else UNSEARCHED
+            meaning = cause if ended else UNSEARCHED
             meaning = within if predicts else meaning
             out.append(
                 f"NRMSE{where} is {np.nanmean(ratios):.2f} × what noise alone costs, mean over {len(trials)} "
@@ -122,7 +120,7 @@ def judgement(trials: Sequence[JudgedTrial], fit: FitResult, *, drawn: bool) -> 
     What is of use has a word where predictions by draws stand behind the trials' numbers (`drawn`).
     """
     use = judged_use(((trial.numbers, trial.ends) for trial in trials), drawn=drawn)
-    why = reasons(trials, predicts=use.word == PREDICTS, searched=fit.agreement.finished > 0)
+    why = reasons(trials, predicts=use.word == PREDICTS, ended=fit.agreement.finished > 0)
     whole, early = _ratios(trials)
     return Overall(
         flagged=bool(why),

@@ -139,7 +139,7 @@ def _verdicts(
     lifting = [(c, [e.symbol for e in expected if _lifts(e, c.worse(e.name))]) for c in candidates]
     worth = [f"{c.title} (a better verdict on {', '.join(symbols)})" for c, symbols in lifting if symbols]
     if worth:
-        lines.append("record next, best for all of these together: " + ", else ".join(worth[:_NAMED]))
+        lines.append("record next, best for all weak parameters together: " + ", else ".join(worth[:_NAMED]))
     return {
         "parameters": [
             ExpectedParameter(**vars(row), channels=dict(zip(problem.channels, share.tolist(), strict=True)))

@@ -124,8 +124,7 @@ def fit_campaign(
             runs, cut = _search(fitted, limited, options, checkpoint, progress, should_stop, candidate_time)
             sets = ranked_sets(runs, problem.space)
             outcome = model.follow_up(problem, Course(sets, search, cut, deadline.check))
-            searched = agreement(runs).finished > 0
-            judged = _judged(problem.fitted.exact, outcome, searched=searched)
+            judged = _judged(problem.fitted.exact, outcome, ended=agreement(runs).finished > 0)
             record = {**provenance(search, story, folder), **expected, "adequacy": judged.model_dump()}
             follows = options.trust and outcome.cut is None
             # A spread of the sets beside an interval is a second claim; of a wrong model it is none.
@@ -194,12 +193,12 @@ def _not_assessed(outcome: FitOutcome, follows: bool, folder: Path) -> Iterator[
             yield about(row, "not-assessed", sentence)
 
 
-def _judged(fitted: Problem, outcome: FitOutcome, *, searched: bool) -> Adequacy:
+def _judged(fitted: Problem, outcome: FitOutcome, *, ended: bool) -> Adequacy:
     """Return whether noise explains what the best set leaves; tell so if it does."""
     sides = zip(outcome.records, outcome.at_bound[0].tolist(), strict=True)
     at_bound = {record.name: side for record, side in sides if record.status == "free"}
     row, nrmse = outcome.rows[0], float(outcome.nrmse[0])
-    judged = adequacy(fitted, row, at_bound, nrmse, searched=searched)
+    judged = adequacy(fitted, row, at_bound, nrmse, ended=ended)
     if judged.verdict == EXPLAINED_BY:
         tell(judged.sentence, detail=True)
     return judged

@@ -66,8 +66,8 @@ def test_a_prediction_leaves_where_it_is_off_for_good():
         "time": pytest.approx(0.55), "channel": "z_B", "after_contacts": 2,
     }  # fmt: skip
     assert "fixed values are wrong" in reasons([found])[0]
-    assert UNSEARCHED in reasons([found], searched=False)[0]
-    assert "within their bands" in reasons([found], predicts=True, searched=False)[0]
+    assert UNSEARCHED in reasons([found], ended=False)[0]
+    assert "within their bands" in reasons([found], predicts=True, ended=False)[0]
     # Just below five deviations it may not leave but by the noise's own help, three times in a row.
     assert _judged(offset=0.1 * (LEAVES - 3)).leaves is None
 
