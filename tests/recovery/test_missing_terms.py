@@ -11,6 +11,7 @@ from sysid.campaign import read_campaign
 from sysid.fit.search import run_one
 from sysid.fit.settings import SearchSettings
 from sysid.synthetic import read_truth, synthesize_gear
+from sysid.trust import ladder
 from sysid.trust.assessment import assess
 from sysid.trust.ladder import Climber
 from sysid.trust.terms import freed
@@ -67,6 +68,27 @@ def test_three_missing_terms_are_found_and_intervals_without_them_contain_the_tr
             inside.append(low <= true[profile.name] <= high or word == "not_interpretable")
     # From the truth on the linearized sandwich alone misses 19 of these 24.
     assert np.mean(inside) >= 0.85
+
+
+def test_a_joint_fit_that_ends_far_off_is_repeated_from_fewer_terms(tmp_path, monkeypatch):
+    terms, walk, spoiled = find_kind("gear").terms, ladder.downhill, []
+
+    def ends_far_off(problem, starts, kept=None):
+        everything = all(name in problem.space.names for term in terms for name in term.parameters)
+        if not everything or spoiled:
+            return walk(problem, starts, kept)
+        count = len(problem.space.free) - sum(len(term.parameters) for term in terms)
+        point = starts[0].copy()
+        point[:count:2] -= 0.2
+        point[1:count:2] += 0.2
+        spoiled.append(np.clip(point, 0.02, 0.98))
+        return spoiled[0], 0
+
+    foreign = drawn_terms(101, 3)
+    problem, true, start = fitted(tmp_path, 101, foreign)
+    monkeypatch.setattr(ladder, "downhill", ends_far_off)
+    climbed(problem, true, start, [NAMES[name] for name in foreign])
+    assert spoiled
 
 
 def test_a_ladder_finds_front_legs_that_hide_in_the_nrmse(tmp_path):
