@@ -225,15 +225,17 @@ def _swap(new: Path, path: Path) -> None:
 
 
 def check_file(path: str | Path, *, force: bool, error_type: type[SysidError] = SysidError) -> None:
-    """Refuse a result file that exists, unless `force`, that is a folder, or whose folder does not exist."""
+    """Refuse a result file that exists, unless `force`, that is a folder, or whose folder takes no file."""
     path = Path(path)
     check_place(path, error_type)
     if path.is_dir():
         raise error_type(f"{path}: is a folder; name a file in it")
     if path.exists() and not force:
         raise error_type(f"{path}: exists already; choose a new name or add --force")
-    if not path.resolve().parent.is_dir():
-        raise error_type(f"{path}: the folder {path.parent} does not exist; make it first")
+    try:
+        tempfile.TemporaryFile(dir=path.resolve().parent).close()
+    except OSError as error:
+        raise error_type(_sentence(path, error)) from error
 
 
 @dataclass(frozen=True)

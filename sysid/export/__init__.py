@@ -47,8 +47,6 @@ def export(sets: ParameterSets, path: str | Path) -> Path:
             f"{path}: unknown export format {path.suffix!r}; expected one of {', '.join(SUFFIXES)}, or on "
             "the command line .xml (MuJoCo) or .sdf (Gazebo)"
         )
-    if not path.parent.is_dir():
-        raise ExportError(f"{path}: the folder {path.parent} does not exist; make it first")
     write_file(path, writer(sets), ExportError)
     return path
 

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from fakes.landings import HF, LF, MOTOR
+from sysid.errors import ExportError
 from sysid.landing.maps import LandingWork
 from sysid.landing.outcomes import Outcome
 from sysid.landing.simulate import HISTORY
 from sysid.landing.store import read_maps
 from sysid.resume import BlockStore
-from sysid.storage import datasets
+from sysid.storage import check_file, datasets
 from sysid.workflows import landing_sources
 from sysid.workflows.landing_sources import BlockProgress
 
@@ -233,6 +234,11 @@ def test_what_was_stopped_goes_on_on_another_number_of_threads(command, other, w
     assert_same("whole.h5", "cut.h5")
 
 
+def test_a_folder_that_takes_no_file_is_refused_before_any_work():
+    with pytest.raises(ExportError, match="cannot be written"):
+        check_file("/proc/x.csv", force=False, error_type=ExportError)
+
+
 DROP = ("simulate", LF, "--motor", MOTOR, "--slope", "10 deg", "--speed", 0.5)
 MAP = ("landing-map", LF, "--motor", MOTOR, "--out", "map.h5")
 SEARCH = ("impulse-map", *MAP[1:])
@@ -247,6 +253,7 @@ LATE = "impulse:50,100"  # milliseconds were meant
         ((*DROP, "--controller", LATE), "50ms"),
         ((*DROP, "--out", "x.txt"), "ends in .csv or .h5"),
         ((*DROP, "--out", "no/x.csv"), "make it first"),
+        ((*DROP, "--out", "/proc/x.csv"), "cannot be written"),
         ((*DROP, "--slope", "95 deg"), "expected a slope within 85 deg"),
         ((*DROP, "--motor", LF), "expected motor sets"),
         ((*DROP, "--height", "-1"), "give both above 0"),
