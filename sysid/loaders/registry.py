@@ -71,8 +71,12 @@ class LogFormat:
 
     @property
     def help(self) -> dict[str, str]:
-        """A sentence for each option that sysid knows."""
-        return {name: DECLARED[name].help for name in self.options if name in DECLARED}
+        """What each option means that sysid knows, with its choices."""
+        known = {name: DECLARED[name] for name in self.options if name in DECLARED}
+        return {
+            name: option.help + (f" One of {', '.join(option.choices)}." if option.choices else "")
+            for name, option in known.items()
+        }
 
 
 # Modules in `sysid.loaders.readers`, in the order of lists and messages.
@@ -153,8 +157,8 @@ def _detect(source: Source) -> LogFormat:
     if not winners:
         check_foreign(source)
         raise LogError(
-            f"{source.path}: not recognized as any log format by its content; "
-            f'if it is one of {", ".join(known)}, say so with --format, or in a campaign with format = "..."'
+            f"{source.path}: not recognized as any log format by its content; if 'sysid formats' lists its "
+            'format, name it with --format, or in a campaign with format = "..."'
         )
     if len(winners) > 1:
         fits = f"the content fits {' and '.join(winners)}"

@@ -41,6 +41,9 @@ def print_formats(as_json: bool = False) -> None:
     if not print_result(rows, as_json):
         cells = [(name, kind.describes, ", ".join(kind.options) or "none") for name, kind in kinds]
         print_table(listed("", cells, ("format", "reads", "options"), texts=3))
+        meanings = {name: text for _, kind in kinds for name, text in kind.help.items()}
+        title = "Options, given by --option NAME=VALUE or as keys of a campaign"
+        print_table(listed(title, meanings.items(), ("option", "meaning"), texts=2))
 
 
 def parse_options(given: Sequence[str]) -> dict[str, object]:

@@ -38,8 +38,8 @@ def test_detect(write, content, name):
     "hello\n", "\n\n\n", "# only a comment\n", "1,2,3\n4,5,6\n", b"\x00\x01\x02", b"TDS\x0e\x00",
     "Devices\nnone\n",
 ])  # fmt: skip
-def test_unknown_content_names_the_formats(write, content):
-    with pytest.raises(LogError, match=r"not recognized .* rcbenchmark-csv, load-cell-csv.* format = "):
+def test_unknown_content_points_to_the_list_of_formats(write, content):
+    with pytest.raises(LogError, match=r"not recognized .* 'sysid formats' lists .* format = "):
         detect(write(content))
 
 

@@ -12,9 +12,11 @@ from sysid.campaign.motor import StaticLog
 from sysid.errors import CampaignError, LogError, SysidError, SysidWarning
 from sysid.gear.drops import prepare_drops
 from sysid.loaders import LogFormat, formats, registry
+from sysid.loaders.options import DECLARED
 from sysid.motor.bench_logs import check_options, read_log
 from sysid.recording import Channel, Provenance, Recording
 from sysid.trials.bench_log import on_one_clock
+from sysid.workflows.inspect import print_formats
 
 MOTOR = """
 kind = "motor"
@@ -63,6 +65,13 @@ def test_every_option_of_every_format_can_be_said():
         left = set(log_format.options)
         assert left <= bench or left <= capture, (name, left - bench, left - capture)
         assert set(log_format.help) == left
+
+
+def test_formats_says_what_every_option_means(capsys):
+    print_formats()
+    shown = " ".join(capsys.readouterr().out.split())
+    assert all(f" {name} {option.help}" in shown for name, option in DECLARED.items())
+    assert "quaternion_order Order of q0 to q3. One of wxyz, xyzw." in shown
 
 
 def test_an_option_of_a_plug_in_format_can_be_stated(tmp_path, monkeypatch):
