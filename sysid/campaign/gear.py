@@ -46,9 +46,7 @@ def _nearly_level(value: float) -> float:
 # Standard error of a slope that states none.
 SLOPE_ERROR = "0.2 deg"
 Slope = Annotated[
-    float,
-    AfterValidator(_slope_on_earth),
-    Measured("rad", SLOPE_ERROR, "inclinometer on the board", "5 deg"),
+    float, AfterValidator(_slope_on_earth), Measured("rad", SLOPE_ERROR, "inclinometer on the board", "5 deg")
 ]
 _FootDistance = Annotated[float, Field(gt=0), Measured("m", "1 mm", "ruler from the centre of mass")]
 

@@ -109,11 +109,7 @@ def check(
 
 @command(app, "trust", "sysid trust fits/demo/motor")
 def trust(
-    fit: FitFolder,
-    options: TrustOptions,
-    quiet: Quiet = False,
-    json: Json = False,
-    details: Details = False,
+    fit: FitFolder, options: TrustOptions, quiet: Quiet = False, json: Json = False, details: Details = False
 ) -> None:
     """Give every parameter of a fit an interval and a verdict.
 
@@ -249,8 +245,7 @@ def export(
     fit: Sets,
     out: Annotated[Path | None, Flag("File to write: .json, .csv, .h5, .mat, .xml or .sdf.")] = None,
     target: Annotated[
-        str | None,
-        Flag("Print a motor's numbers for gazebo, rotorpy, crazyflow, px4 or ardupilot.", "--for"),
+        str | None, Flag("Print a motor's numbers for gazebo, rotorpy, crazyflow, px4 or ardupilot.", "--for")
     ] = None,
     mass: Annotated[float | None, Flag("Mass of a drone that hovers (--for).", unit="kg", least=0)] = None,
     set: Annotated[int | None, Flag("Write only the set of this rank (.xml, .sdf).", least=1)] = None,

@@ -84,12 +84,7 @@ def convert(
 
 
 @command(app, "reversal-time", "sysid reversal-time data_samples/motor/reversal-1.h5")
-def reversal_time(
-    logs: Logs,
-    options: ReversalOptions,
-    figure: Figure = None,
-    json: Json = False,
-) -> None:
+def reversal_time(logs: Logs, options: ReversalOptions, figure: Figure = None, json: Json = False) -> None:
     """Time speed controllers from command to reverse thrust.
 
     Says the time to 90 % of the final thrust, and how often a reversal fails.

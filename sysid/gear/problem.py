@@ -39,12 +39,7 @@ from sysid.gear.model import (
     simulate_population,
 )
 from sysid.gear.parameters import CAPTURED
-from sysid.gear.starts import (
-    compared_noise,
-    level_error,
-    noise_signals,
-    start_roots,
-)
+from sysid.gear.starts import compared_noise, level_error, noise_signals, start_roots
 from sysid.gear.stated import SLOPE, Moved, places_apart, with_stated, without_mistake
 from sysid.gear.swaps import swaps
 from sysid.journal import Finding

@@ -139,9 +139,7 @@ def rigid_limits(
 
 
 def set_down_limit(
-    gear: Mapping[str, float],
-    surface: str | Surface,
-    reverse_thrust: float = 0.0,
+    gear: Mapping[str, float], surface: str | Surface, reverse_thrust: float = 0.0
 ) -> StaticLimit:
     """Put a drone with its bending legs on slopes at once and see on which it comes to rest.
 
@@ -159,11 +157,7 @@ def set_down_limit(
     half = PiecewiseCubic.constant(-0.5 * reverse_thrust)
     drops = Drops(slopes, starts, [np.array([0.0, rules.horizon])] * len(slopes), Propulsion(half, half))
     flown = simulate_population(
-        pack(values, law),
-        drops,
-        surface=law,
-        tolerance=LANDING_TOLERANCE,
-        ending=ending_of(rules, "rest"),
+        pack(values, law), drops, surface=law, tolerance=LANDING_TOLERANCE, ending=ending_of(rules, "rest")
     )
     rests = np.isfinite(flown.rest[0]) & ~(flown.flip[0] < flown.rest[0])
     if rests.all():

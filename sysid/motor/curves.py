@@ -14,14 +14,7 @@ from sysid.campaign import MotorCampaign, MotorTrial
 from sysid.campaign.motor import StaticLog
 from sysid.errors import FitError, LogError
 from sysid.journal import Finding, notice
-from sysid.motor.bench_logs import (
-    STATED_SIGNS,
-    BenchLog,
-    bench_log,
-    campaign_range,
-    log_points,
-    read_log,
-)
+from sysid.motor.bench_logs import STATED_SIGNS, BenchLog, bench_log, campaign_range, log_points, read_log
 from sysid.motor.static_curves import (
     CurveFit,
     NoLoadTie,

@@ -139,10 +139,7 @@ def moves_table(document: ExplainDocument, trust: TrustDocument | None = None) -
     return table(
         "Values of the terms, and how the parameters move with them",
         rows,
-        (
-            words("term", lambda row: row[0]),
-            words("values, moves", lambda row: ", ".join(row[1].values())),
-        ),
+        (words("term", lambda row: row[0]), words("values, moves", lambda row: ", ".join(row[1].values()))),
         "; ".join(["moves: of identifiable parameters, 1 % and more; the four largest", *meanings]),
     )
 

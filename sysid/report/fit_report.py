@@ -367,10 +367,7 @@ class FitReport:
         out += unfoldable("Mean and spread of the runs (Tables I and II)", tables, printed=False)
         return out + unfoldable("The sets", markup_table(ranked_table(sets, opened)), printed=False)
 
-    @titled(
-        "Errors",
-        "rms error over the spread of the measurement, by channel.",
-    )
+    @titled("Errors", "rms error over the spread of the measurement, by channel.")
     def trial_errors(self) -> Html:
         """Return NRMSE per trial and channel."""
         judged = [adequacy_table(f.parameter_sets()) for f in self.fits if "adequacy" in f.provenance]
@@ -462,8 +459,7 @@ class FitReport:
         return side_by_side(pieces)
 
     @titled(
-        "Correlation",
-        "Of two strongly correlated parameters these trials show one combination, not each.",
+        "Correlation", "Of two strongly correlated parameters these trials show one combination, not each."
     )
     def correlation(self) -> Html:
         """Return how the estimates go together."""
@@ -477,10 +473,7 @@ class FitReport:
         words = "correlation of the estimates" + (f"; strongest: {'; '.join(strong[:6])}" if strong else "")
         return picture(figure_correlation(self.trust), words, "Correlation of the estimates.")
 
-    @titled(
-        "Validation",
-        "The same sets on trials that the search never saw.",
-    )
+    @titled("Validation", "The same sets on trials that the search never saw.")
     def validation(self) -> Html:
         """Return how trials that were not fitted are predicted."""
         out = NOTHING

@@ -199,11 +199,7 @@ def spread_table(document: TrustDocument) -> Table:
     return table(
         "predictions of the sets around their mean",
         spread.trials,
-        (
-            _TRIAL,
-            _USE,
-            *(numbers(name, partial(pair, c), unit) for c, (name, unit) in channels),
-        ),
+        (_TRIAL, _USE, *(numbers(name, partial(pair, c), unit) for c, (name, unit) in channels)),
         "rms, largest",
     )
 

@@ -33,14 +33,7 @@ from sysid.fit.trial import nrmse_of
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
 from sysid.trust.least_squares import Solved, solve
-from sysid.trust.linearized import (
-    NORMAL_95,
-    Linearized,
-    gradient_noise,
-    half_widths,
-    linearized,
-    noise_model,
-)
+from sysid.trust.linearized import NORMAL_95, Linearized, gradient_noise, half_widths, linearized, noise_model
 from sysid.trust.problem import scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
 from sysid.trust.terms import searched, starting_point
@@ -253,9 +246,7 @@ def widened(problem: Problem, linear: Linearized, without: FloatArray) -> Linear
     largest = 1.0 / (np.sqrt(12.0) * np.maximum(known.sigma, 1e-12))
     spread = np.minimum(factor, np.maximum(largest, 1.0))
     information = replace(
-        known,
-        inflation=known.inflation * factor**2,
-        covariance=known.covariance * np.outer(spread, spread),
+        known, inflation=known.inflation * factor**2, covariance=known.covariance * np.outer(spread, spread)
     )
     widths = half_widths(problem.space, linear.point, information.sigma)
     return replace(linear, information=information, half_widths=widths)

@@ -82,11 +82,7 @@ class Jacobian:
 
 
 def jacobian(
-    problem: Problem,
-    point: FloatArray,
-    scale: FloatArray,
-    noise: float = 1.0,
-    kept: FloatArray | None = None,
+    problem: Problem, point: FloatArray, scale: FloatArray, noise: float = 1.0, kept: FloatArray | None = None
 ) -> Jacobian:
     """Return the derivatives at a point (n,) of the unit cube, ``J = (4 J(h/2) - J(h))/3``.
 

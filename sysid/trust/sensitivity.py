@@ -51,10 +51,7 @@ def drawn_outlooks(problem: Problem, noise: NoiseModel) -> tuple[Linearized, ...
 
 
 def expectations(
-    problem: Problem,
-    point: FloatArray,
-    noise: NoiseModel,
-    drawn: Sequence[Linearized] = (),
+    problem: Problem, point: FloatArray, noise: NoiseModel, drawn: Sequence[Linearized] = ()
 ) -> tuple[Linearized, tuple[Expected, ...]]:
     """Return what the trials should determine of every free parameter, at a unit-cube point (n_free,).
 

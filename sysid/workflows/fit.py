@@ -274,11 +274,7 @@ def _search(
     with executor(options.dask, min(settings.runs, _RUNS_AT_ONCE), options.threads) as where, progress:
         hooks = Hooks(progress.on_generation, progress.on_run, should_stop)
         runs = run_many(
-            computed_by(fitted, where),
-            settings,
-            checkpoint=checkpoint,
-            hooks=hooks,
-            at_once=where.at_once,
+            computed_by(fitted, where), settings, checkpoint=checkpoint, hooks=hooks, at_once=where.at_once
         )
     for note in checkpoint.notes:
         notice("checkpoint", note)

@@ -26,12 +26,7 @@ from sysid.report.landing_figures import DrawnLimits, figure_impulse, figure_of_
 from sysid.report.landing_tables import gains_table, maps_table
 from sysid.report.table import listed
 from sysid.resume import Computing
-from sysid.workflows.landing_sources import (
-    check_result,
-    chosen_controllers,
-    compute_and_write,
-    open_fleets,
-)
+from sysid.workflows.landing_sources import check_result, chosen_controllers, compute_and_write, open_fleets
 from sysid.workflows.options import DesignStudyOptions, ImpulseMapOptions, LandingMapOptions
 from sysid.workflows.provenance import seen_from
 

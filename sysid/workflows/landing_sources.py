@@ -61,12 +61,7 @@ def chosen_controllers(
 
 
 def paired_fleets(
-    gears: Sequence[ParameterSets],
-    motor: ParameterSets,
-    pair: Pairing,
-    names: Sequence[str],
-    *,
-    anyway: bool,
+    gears: Sequence[ParameterSets], motor: ParameterSets, pair: Pairing, names: Sequence[str], *, anyway: bool
 ) -> Fleets:
     """Return the drones of the sets of every gear, see `sysid.landing.drone.drones`.
 

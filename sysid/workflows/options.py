@@ -94,8 +94,7 @@ Json = Annotated[bool, Flag("Print the result as JSON.", panel=_OUTPUT)]
 Strict = Annotated[bool, Flag("End with exit code 3 where the fit is unfinished.", panel=MORE)]
 Resume = Annotated[bool, Flag("Continue a computation that was stopped or killed.", panel=_COMPUTING)]
 Dask = Annotated[
-    str | None,
-    Flag("Compute on a Dask cluster: an address, tcp://host:8786, or the word local.", panel=MORE),
+    str | None, Flag("Compute on a Dask cluster: an address, tcp://host:8786, or the word local.", panel=MORE)
 ]
 Threads = Annotated[
     int | None,

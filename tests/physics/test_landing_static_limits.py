@@ -10,13 +10,7 @@ from fakes.landings import values
 from fakes.published import table_2
 from fakes.standing import tips_under_thrust, tips_without_thrust
 from sysid.errors import CampaignError
-from sysid.landing.static_limits import (
-    StaticLimit,
-    rigid_limits,
-    set_down_limit,
-    slide_limit,
-    tip_limit,
-)
+from sysid.landing.static_limits import StaticLimit, rigid_limits, set_down_limit, slide_limit, tip_limit
 
 REVERSE = 12.0
 

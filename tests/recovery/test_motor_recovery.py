@@ -95,13 +95,7 @@ def test_holes_of_a_fast_log_are_masked_not_closed_up(campaign_file: Path, prepa
 
 def test_short_fit_finds_resistance_and_inductance(campaign_file: Path, tmp_path: Path, capsys) -> None:
     options = FitOptions(
-        out=tmp_path / "fit",
-        runs=1,
-        population=60,
-        max_generations=25,
-        seed=4,
-        quiet=True,
-        trust=False,
+        out=tmp_path / "fit", runs=1, population=60, max_generations=25, seed=4, quiet=True, trust=False
     )
     result, folder = fit_motor(campaign_file, options)
     values = result.parameter_sets().set_values(1)

@@ -70,8 +70,7 @@ def cluster(folder, workers):
         for _ in range(workers):
             processes.append(
                 subprocess.Popen(
-                    [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", *quiet],
-                    **common,
+                    [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", *quiet], **common
                 )
             )
         address = json.loads(file.read_text(encoding="utf-8"))["address"]

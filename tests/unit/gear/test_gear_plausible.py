@@ -48,14 +48,7 @@ def test_a_slope_as_well_as_an_inclinometer_tells_it_contradicts_nothing(folder,
 # a foot is below the board: the cause is named before all of them.
 @pytest.mark.parametrize(
     ("stated", "symptom"),
-    [
-        (13.0, ""),
-        (13.4, ""),
-        (14.0, ""),
-        (16.5, ""),
-        (17.0, "surface plane"),
-        (20.0, "refused"),
-    ],
+    [(13.0, ""), (13.4, ""), (14.0, ""), (16.5, ""), (17.0, "surface plane"), (20.0, "refused")],
 )
 def test_a_slope_that_the_board_markers_contradict_is_named_first(folder, stated, symptom):
     found, *others = noticed(folder, (r'slope = "15 deg"', f'slope = "{stated} deg"'))

@@ -23,15 +23,7 @@ from sysid.parameter_sets import ParameterRecord
 from sysid.report import diagrams, gear_report
 from sysid.report.answer import Reopened
 from sysid.report.drawing import as_math, thinned, unit_of
-from sysid.report.drop_replay import (
-    START,
-    DropReplay,
-    animation,
-    drone_of,
-    foot_points,
-    placed,
-    replay_drop,
-)
+from sysid.report.drop_replay import START, DropReplay, animation, drone_of, foot_points, placed, replay_drop
 from sysid.report.fit_figures import figure_spread, figure_waterfall
 from sysid.report.fit_report import FitReport
 from sysid.report.gear_report import GearReport

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from sysid.journal import Journal
-from sysid.report.trust_tables import (
-    channel_line,
-    check_lines,
-    comparison_table,
-    expected_table,
-    noise_table,
-)
+from sysid.report.trust_tables import channel_line, check_lines, comparison_table, expected_table, noise_table
 from sysid.trust.comparison import Comparison, Difference
 from sysid.trust.documents import (
     ChannelNoise,

@@ -328,11 +328,7 @@ FIRST = "drop-1-5deg-0.50mps.csv"
         ("[surface]", "[[surface]]", "surface: expected a table"),
         ('name = "drop-1"', 'name = ""', "expected text that is not empty"),
         ('name = "drop-1"', f'name = "{"x" * 10_000}"', "expected at most 100 characters"),
-        (
-            'name = "drop-1"',
-            'name = "a\\nb"',
-            "cannot be seen; use a name of one plain line",
-        ),
+        ('name = "drop-1"', 'name = "a\\nb"', "cannot be seen; use a name of one plain line"),
         ('name = "drop-1"', 'name = "a\\u202eb"', "'a\\u202eb' has characters that cannot be seen"),
         ('log = "drop-1', f'log = "{"x" * 10_000}', "does not exist"),
     ],
