@@ -5,8 +5,6 @@ written as ``"NaN"``, ``"Infinity"`` or ``"-Infinity"``, and every float is read
 that only the writer understands (the settings of a model) is an `Open` field, see `sysid.exact_json`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping

@@ -5,8 +5,6 @@ JSON has no NaN and no infinity. They are written as the strings ``"NaN"``, ``"I
 apostrophe, which reading takes off again.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -4,8 +4,6 @@ An exception that is raised in a callback of LLVM ends there: ctypes prints and 
 looks whether it interrupts llvmlite, and then comes again a moment later.
 """
 
-from __future__ import annotations
-
 import _thread
 import signal
 import threading

@@ -7,8 +7,6 @@ that one finding on many trials is one line.
 A decision is taken on `Finding.code`; the sentence is for people.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager

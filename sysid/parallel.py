@@ -5,8 +5,6 @@ depend on that row alone, so neither the cluster's size nor the cut into chunks 
 bit of a result.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

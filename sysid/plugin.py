@@ -1,7 +1,5 @@
 """Python files of a user: what they register is known afterwards."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 import traceback

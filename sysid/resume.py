@@ -5,8 +5,6 @@ continued) and the finished blocks, each written whole or not at all. A block of
 some of its rows, a block of a fit is a stage of a run (`sysid.fit.checkpoint`).
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import shutil

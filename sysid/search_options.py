@@ -5,8 +5,6 @@ for a fit to be continued take them from here; `sysid.fit.settings` says what fo
 help needs this module, so it imports nothing heavy.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal, get_args
 

@@ -11,8 +11,6 @@ An HDF5 file of sysid has the attributes ``schema`` and ``version``; its numeric
 HDF5 library ends the process on a full disk.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

@@ -1,7 +1,5 @@
 """Checks of a kind of model, for the tests of its author."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from tempfile import TemporaryDirectory
 

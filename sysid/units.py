@@ -4,8 +4,6 @@ A thin shell over pint that adds the spellings of thrust stands and load cells a
 pint's errors into one sentence.
 """
 
-from __future__ import annotations
-
 import re
 from functools import lru_cache
 from tokenize import TokenError

@@ -1,7 +1,5 @@
 """Read and validate a campaign file; say every mistake in one sentence."""
 
-from __future__ import annotations
-
 import difflib
 import hashlib
 import re

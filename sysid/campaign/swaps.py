@@ -1,7 +1,5 @@
 """Exchanges of two entries of a campaign, lost signs, and numbers that are off."""
 
-from __future__ import annotations
-
 from collections.abc import MutableMapping
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ foresaw is one as well, with exit code 1, and its trace is in a file. ``--debug`
 A reader that closes the pipe, as ``head`` does, ends a command in silence.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import shlex

@@ -4,8 +4,6 @@
 `sysid.cli` only.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 import textwrap

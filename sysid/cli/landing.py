@@ -1,7 +1,5 @@
 """Commands that land a drone with identified sets, and judge its design."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Annotated, TypeVar
 

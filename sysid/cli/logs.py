@@ -1,7 +1,5 @@
 """Commands that read and write logs and campaigns."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated, Literal

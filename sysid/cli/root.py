@@ -1,7 +1,5 @@
 """The program `sysid` itself, before any command registers with it, and what the commands print alike."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys

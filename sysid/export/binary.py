@@ -6,8 +6,6 @@ them (``metadata_json``), which is what sysid reads. Copies of it in native form
 interval is infinite; the end and the verdict of what was not judged are NaN and empty.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import re

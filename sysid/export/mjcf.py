@@ -26,8 +26,6 @@ drops and harms the others. On high friction a foot sticks, but for some 0.05 mm
 MuJoCo knows one coefficient: it gets the kinetic one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ each trial (`name`) and channel (`symbol`). The last row counts the rows before 
 Draws are a table of their own, for other programs: a row per draw, a column per number [SI].
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

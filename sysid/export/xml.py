@@ -1,7 +1,5 @@
 """XML documents that other simulators read, filled in from the templates in this folder."""
 
-from __future__ import annotations
-
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from sysid.errors import printable

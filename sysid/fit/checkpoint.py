@@ -7,8 +7,6 @@ search starts again, too. The best generation of every run is kept beside the st
 continued and then stopped early still has what was found before.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Collection, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Word to a user who waits for numba: once, and only where it compiles."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from numba.core.event import Event, Listener, register

@@ -7,8 +7,6 @@ concerns one trial alone, such as a slope, is displaced in every trial at once, 
 belong to its coordinate; along an axis of the others such coordinates follow, as they do in a fit.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """What a search leaves behind: every generation of every stage of every run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

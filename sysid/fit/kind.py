@@ -1,7 +1,5 @@
 """A kind of model: how a verb makes a problem of a campaign, and an outcome of a search."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

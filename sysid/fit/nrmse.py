@@ -13,8 +13,6 @@ gaps, the same symmetric FIR filter runs over it, and rates are central differen
 impact is broadband, so treating one side only biases the fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -6,8 +6,6 @@ widths over which the candidates of either run scored within 0.2 % of its best. 
 not determine is wide, or left out, so it does not separate runs that agree otherwise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

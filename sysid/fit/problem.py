@@ -5,8 +5,6 @@ asks which model it is. Further descriptions of its trials stand in `sysid.fit.s
 campaign in `sysid.fit.kind`. A user's model is one too: `sysid.own`.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy

@@ -4,8 +4,6 @@ A terminal shows one live block. Elsewhere (a file, a batch queue) a plain line 
 seconds.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -1,7 +1,5 @@
 """Where a fit comes from, and the content of ``fit.json``."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Required, get_type_hints
 
 from pydantic import with_config

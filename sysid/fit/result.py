@@ -1,7 +1,5 @@
 """What a fit leaves behind: ranked sets, the history of every run, and trajectories to look at."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -12,8 +12,6 @@ from a child of that. The order and the interleaving of runs change nothing, nor
 campaign names its trials (`sysid.fit.trial.name_order`).
 """
 
-from __future__ import annotations
-
 import sys
 import threading
 import time

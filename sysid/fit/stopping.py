@@ -1,7 +1,5 @@
 """Why a search ends, and what asks it to end: its time limit and Ctrl-C."""
 
-from __future__ import annotations
-
 import _thread
 import signal
 import threading

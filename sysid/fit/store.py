@@ -7,8 +7,6 @@ programs. It names the SHA-256 of both, as every document of trust beside it doe
 folder in which either has changed is refused.
 """
 
-from __future__ import annotations
-
 import hashlib
 import shlex
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Descriptions of a problem's trials: in `sysid check`, in the record of a fit, its report and validation."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar

@@ -1,7 +1,5 @@
 """A fit in words: the summary that a person reads first, and the record of what was run and what it cost."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From the drops that a campaign names to what a fit compares: window, initial state, filtered target."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Landing gears as a kind of model: opening a campaign of drops, and what follows its fit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

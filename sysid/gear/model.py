@@ -39,8 +39,6 @@ q_A/mu_k``; at rest the feet sink by ``m g/(2 k_s)`` each on level ground; in fl
 momentum.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

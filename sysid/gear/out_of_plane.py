@@ -12,8 +12,6 @@ to roll against their leans: by `_BEGINS` of them in 30 ms. ``tests/benchmarks/s
 numbers.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass

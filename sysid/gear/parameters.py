@@ -1,7 +1,5 @@
 """The gear's table of parameters: every number of the planar model, once, with its unit and source."""
 
-from __future__ import annotations
-
 import math
 
 from sysid.parameters import Parameter, ParameterTable

@@ -1,7 +1,5 @@
 """What a campaign states, beside what its logs show and what a vehicle can be."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sysid.campaign import GearCampaign, GearTrial

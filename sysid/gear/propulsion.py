@@ -1,7 +1,5 @@
 """Thrust during a drop or a landing: two histories, and the instant at which their clock starts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Errors of a drop's start, and of what is compared, by the capture's noise."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sysid.filters import differentiate

@@ -6,8 +6,6 @@ prepared once, with the values as stated. A candidate with other values is simul
 body at the start, and its signals are brought back to where the capture would have seen them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self

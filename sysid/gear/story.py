@@ -4,8 +4,6 @@ A start that noise has moved by a tenth of a millimetre ends elsewhere after fiv
 resting place proves nothing. The spread over draws of the fit and of the start says what can be known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Unpack
 

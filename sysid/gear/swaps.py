@@ -1,7 +1,5 @@
 """Likely mistakes in writing down a campaign of drops: exchanged entries, a lost sign, a wrong height."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import combinations
 

@@ -6,8 +6,6 @@ lane and for eight; rewritten formulas are the same in all, so a drop alone and 
 bits.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 import platform

@@ -1,7 +1,5 @@
 """The way down before a landing: wind-free, with a simple attitude controller (section III-B)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

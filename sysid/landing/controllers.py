@@ -12,8 +12,6 @@ A controller is a list of steps. A new one takes ten lines::
 and is then known by its name to this package, and to the command line with ``--controller-file FILE.py``.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable, Sequence

@@ -8,8 +8,6 @@ Valid for changes that leave the identified model what it is: a leg of half the 
 leg of the same mass and inertia. The paper names this study as future work.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

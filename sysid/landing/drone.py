@@ -4,8 +4,6 @@ The thrust does not depend on the motion, and before the trigger every landing h
 list of steps, on a clock that starts at the trigger, serves every slope and speed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

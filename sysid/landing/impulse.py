@@ -11,8 +11,6 @@ pairs whose commands agree up to ``t`` share one simulation: every duration once
 impulse, and every longer duration once ``delay + duration >= t``. What is left is simulated.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Landing maps (Fig. 8): what becomes of a landing, over slope and touchdown speed, for every set."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise

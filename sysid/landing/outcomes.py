@@ -4,8 +4,6 @@ The paper prints no rule for "at rest" and "flipped"; these are options, with th
 with every result.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """Real landings compared with a map: read from a table, looked up in the map, counted."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections import Counter

@@ -4,8 +4,6 @@ Every field is declared here once, for Python and for the command line (`sysid.m
 stands in `sysid.landing.outcomes`. The program's help needs these modules, so they import nothing heavy.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace

@@ -36,8 +36,6 @@ balance end below 42 deg, and a slow ramp in another simulator (MuJoCo, tests/ph
 ends at the same slope. A drone that is set down at once holds about that slope.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

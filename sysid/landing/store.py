@@ -1,7 +1,5 @@
 """Maps and design studies on disk: HDF5 files with every landing's outcome, and how it came about."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path

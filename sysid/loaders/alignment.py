@@ -6,8 +6,6 @@ that run at one speed (crystals do to some 50 ppm: 3 ms per minute) and for even
 once; the confidence shows whether another offset would fit nearly as well.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

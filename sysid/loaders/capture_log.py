@@ -1,7 +1,5 @@
 """Motion captures: the bodies and markers of a file become a `Recording`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Clocks of logs: rows in order, declared rates, jitter in words."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

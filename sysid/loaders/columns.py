@@ -1,7 +1,5 @@
 """Columns by name stem and unit, never by position: ``Thrust (gf)``, ``x [mm]``, ``px_m``."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

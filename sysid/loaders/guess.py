@@ -3,8 +3,6 @@
 A guess is printed for a person, who checks it and gives it as an option. No log is read with it in silence.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass

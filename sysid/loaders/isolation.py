@@ -7,8 +7,6 @@ parent looks. The child answers with a line of JSON, then with the samples as pl
 Its start costs some 0.5 s: Python, numpy and the library of the format.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import io
 import json

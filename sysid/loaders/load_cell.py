@@ -4,8 +4,6 @@ The speed from the pulses of a tachometer is valid for one edge per pulse and a 
 the pulse rate; it ignores the direction of turning, which one pulse train does not show.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import numpy as np

@@ -4,8 +4,6 @@ A format names the options that it takes; `sysid.loaders.load`, the refusals and
 `[capture]` of a campaign read the same declarations.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields

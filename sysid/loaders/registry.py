@@ -8,8 +8,6 @@ Another package adds a format by declaring, in its pyproject.toml::
 where ``FORMAT`` is a `LogFormat`.
 """
 
-from __future__ import annotations
-
 import ctypes
 import difflib
 import inspect

@@ -9,8 +9,6 @@ References
 W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32 (1976) 922.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -7,8 +7,6 @@ that is only the end of a name (``Fz_N``) is taken for known quantities, whose d
 noted; of other signals it is not.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager

@@ -1,7 +1,5 @@
 """Tables of one instrument (thrust stands, load cells, force/torque transducers) become a `Recording`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial

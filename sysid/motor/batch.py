@@ -1,7 +1,5 @@
 """Many candidates on many trials at once: what a search asks of the motor."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple

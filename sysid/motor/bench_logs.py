@@ -1,7 +1,5 @@
 """The bench logs that a motor campaign names: read, and their signs, tare and doubtful intervals settled."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ Reversals are no candidates: they show I_sat and Ω_min, which are fitted after 
 without propeller that coasts down, which shows k_d: it is another motor to the dynamic fit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -7,8 +7,6 @@ filtered; the simulated torque and speed pass first-order lags of the sensors an
 log, the torque later by its sensor's delay.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

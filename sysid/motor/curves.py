@@ -1,7 +1,5 @@
 """Static curves of a motor campaign: from averaged logs, or from the steady stretches of its step logs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

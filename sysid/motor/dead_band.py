@@ -6,8 +6,6 @@ command delay of each reversal log is free as well: braking shows it before the 
 Without a reversal to fit, starts from rest serve: they pass the same band once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, TypedDict

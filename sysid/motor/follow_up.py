@@ -1,7 +1,5 @@
 """What follows the search of a motor fit: the dead band, and what is noticed about it and the logs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import NotRequired, TypedDict

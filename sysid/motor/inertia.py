@@ -4,8 +4,6 @@ At a step the load cell feels τ_aero(Ω) + I^r dΩ/dt, whatever the winding doe
 acceleration of the *measured* speed needs no R, L, Kv or command delay, so it checks a fitted I^r.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Motors as a kind of model: how a bench is opened, fitted and followed up."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from sysid.campaign import MotorCampaign

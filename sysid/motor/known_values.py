@@ -1,7 +1,5 @@
 """A motor campaign after its logs were read: trials, static curves and the values that they determine."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

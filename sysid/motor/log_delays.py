@@ -4,8 +4,6 @@ Every log that the search sees has a free delay; the set's `command_delay` is th
 without a delay. The delay that fits a held-out log best is reported with its score, never used for it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import PurePath

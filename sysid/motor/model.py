@@ -50,8 +50,6 @@ Thrust, section II-A.2, equations (1-4), Table I.
 .. [4] Hanselman, Brushless Permanent Magnet Motor Design, 2nd ed., 2003.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal

@@ -8,8 +8,6 @@ Valid for steps of the command within forward rotation, where the constants come
 of a reversal, the winding's inductance, and that a step's time constant falls with the speed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from functools import cached_property

@@ -5,8 +5,6 @@ of a motor are integrated once per parameter set and schedule, by `sysid.motor.m
 every event. Every drop or landing of that set shares the result.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal
 

@@ -3,8 +3,6 @@
 `sysid.motor.model` has the equations and symbols.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -11,8 +11,6 @@ The lag is valid when nobody needs the torque of a step; it ignores everything t
 beyond it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

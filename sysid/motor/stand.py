@@ -10,8 +10,6 @@ Valid for a supply whose voltage and current are logged in front of the controll
 steady levels of one direction. Ignores the controller's own loss, which R and τ_f take up.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """Descriptions of a bench: the quality of its logs, what they excite, the points behind its static curves."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 

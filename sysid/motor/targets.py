@@ -1,7 +1,5 @@
 """From settled bench logs to what a fit simulates and compares: filter, grids, command schedule, supply."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 

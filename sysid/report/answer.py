@@ -1,7 +1,5 @@
 """What a page says first: one word, three figures, the next step; then one table of what was found."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """A page of two or more fits: parameters side by side, who predicts whom, traces overlaid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

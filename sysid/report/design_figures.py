@@ -1,7 +1,5 @@
 """Figures of a design study: what the drone lands on over each change, or over two together."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Diagrams of the model: what a lab must measure (Fig. 2), how feet stick and slip (Fig. 5), a sketch."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -5,8 +5,6 @@ come from a second simulation from that state. A page plays drops (`animation`):
 from here and fetches nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A page shows one panel each, narrow, with letters that stay readable on a phone;
 put many panels side by side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

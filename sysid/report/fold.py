@@ -3,8 +3,6 @@
 No number is ever cut.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

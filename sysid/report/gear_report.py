@@ -1,7 +1,5 @@
 """What the report of a landing gear adds: geometry, drops in motion, contacts of the feet, friction."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Figures of logs as they were recorded: what `inspect` draws."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

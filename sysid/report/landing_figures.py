@@ -1,7 +1,5 @@
 """Figures of landings: maps in the manner of Figs. 8, 9 and 11, and the best impulse as in Fig. 10."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Tables of what sets mean for landings: static limits, and what a changed design buys."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

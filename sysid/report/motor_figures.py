@@ -1,7 +1,5 @@
 """What is drawn of motors: reversals as in the paper's Figs. 3 and 4, static curves, torque spikes."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """What the report of a motor adds: thrust, static curves, reversals, spikes, steps of the model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

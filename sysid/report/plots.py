@@ -9,8 +9,6 @@ views with the same `key` show the same moment.
     html, figure = interactive([view], "measured and simulated"), figure_of([view])
 """
 
-from __future__ import annotations
-
 import base64
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Tables of ranked parameter sets: the sets, the layout of Table II, NRMSE per trial."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A drone drawn to scale at an instant of a drop: snapshots as in Fig. 7, and films (GIF, MP4)."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from pathlib import Path

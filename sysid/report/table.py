@@ -1,7 +1,5 @@
 """One model of a table: `sysid.report.fold` prints it on a terminal, `sysid.report.html` on a page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Files of a motor bench: load-cell logs at 10 kHz and the averaged points of a thrust stand."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

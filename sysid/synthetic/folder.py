@@ -1,7 +1,5 @@
 """A synthesized campaign on disk: all of it, or nothing."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path

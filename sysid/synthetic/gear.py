@@ -6,8 +6,6 @@ point, which therefore lies on the surface at every slope. The rigid body's orig
 and its axes are not quite level while the drone is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

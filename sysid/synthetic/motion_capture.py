@@ -1,7 +1,5 @@
 """What a motion-capture system sees of a body, and the files in which it says so."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ with the motor at rest (for the tare), spins up to an idle command and then walk
 static curves come from averaged points of a thrust stand on a battery, with the propeller and without.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

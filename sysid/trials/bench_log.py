@@ -4,8 +4,6 @@ Knows no motor model: it sees channels of a `Recording` and turns them into what
 torques leave here signed: positive in the forward direction, a steady torque with the sign of its speed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -4,8 +4,6 @@ The plane of motion is spanned by a horizontal down-slope direction ``x`` and up
 the page and a positive pitch turns ``z`` toward ``x`` (nose down the slope).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -5,8 +5,6 @@ two numbers that all samples of hold and fall share, so the state at the window'
 better than differentiated positions would tell it (at 0.3 mm noise, 0.2 mm and 2 mm/s instead of 60 mm/s).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ the body hung still; the touchdown is where positions leave the parabola. Valid 
 sampled at 50 Hz or more.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Knows no motor model. Thrust arrives tared, positive forward, and filtered where
 A reversal is a command of the opposite sign to the one before it, held for over 0.2 s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -19,8 +19,6 @@ change of the parameter stays unseen by any of these. The interval therefore rea
 goes when all terms that its kind declares are fitted as well, with what stays open there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

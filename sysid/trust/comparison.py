@@ -1,7 +1,5 @@
 """Two fits' parameters: do they differ by more than their intervals allow?"""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations

@@ -11,8 +11,6 @@ Validation: ``trials/NUMBER/{time, measured, valid, simulated}`` (in order, from
 Cross-validation: ``values`` (T, n).
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Mapping

@@ -19,8 +19,6 @@ open parameters at their best values. Open parameters that move without step 2 r
 by 2.7; with step 2 they do not change it (1.01).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 from zlib import crc32

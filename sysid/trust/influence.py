@@ -6,8 +6,6 @@ signs tell: the trial fits worse than the others, or the fit without the trial m
 less explains.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

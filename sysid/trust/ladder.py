@@ -22,8 +22,6 @@ the share of all sign changes under which the best of the terms looked at gains 
 adds to each.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

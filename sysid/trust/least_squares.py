@@ -4,8 +4,6 @@ The fronts (points of profiles, resampled trials) walk as `sysid.fit.least_squar
 is too rough for derivatives is handed to CMA-ES around its point.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

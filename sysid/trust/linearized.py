@@ -14,8 +14,6 @@ use the bounds as well: a parameter is known to within its range in any case (a 
 deviation).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product

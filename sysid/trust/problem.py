@@ -17,8 +17,6 @@ that touches a sample earlier, or slips where it stuck, makes residuals jump. A 
 the step describes the step, not the model; such parameters are named.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ All parameters walk outward at the same time, both sides of each as one front; e
 last one ended, moved along the tangent of the valley.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

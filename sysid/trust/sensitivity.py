@@ -4,8 +4,6 @@ At a point: the linearized half-widths of `sysid.trust.linearized` with the nois
 while nothing happens, walked through the filter. Over the bounds: the half-widths at points drawn from them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

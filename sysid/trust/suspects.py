@@ -8,8 +8,6 @@ trial is accused where noise explains all others, which predict it badly, and no
 accuse values, because a wrong value spoils how a trial is read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple

@@ -1,7 +1,5 @@
 """A fit with further terms of its kind: their parameters freed, searched or walked downhill."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

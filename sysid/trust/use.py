@@ -38,8 +38,6 @@ A wrong value or foreign physics need not spoil what is predicted: the bands are
 explain the fit. A fit near the noise may still predict badly, and the word is what says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -6,8 +6,6 @@ a distribution. A prediction is judged by the ratio of its NRMSE to what noise a
 true model, more by what the parameters' own uncertainty adds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

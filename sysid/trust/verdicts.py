@@ -1,7 +1,5 @@
 """Verdicts: well, weakly or not identifiable; and what the trials of a campaign determine, in sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

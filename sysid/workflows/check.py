@@ -1,7 +1,5 @@
 """`sysid check CAMPAIGN`: are the logs good, do they excite the model, and what will they determine?"""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`sysid codes`: what lies behind the codes of warnings."""
 
-from __future__ import annotations
-
 import tomllib
 from difflib import get_close_matches
 from importlib.resources import files

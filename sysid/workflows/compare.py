@@ -1,7 +1,5 @@
 """`sysid compare FIT FIT...`: do two fits differ by more than they may, and which predicts what best?"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`sysid demo`: the whole job on the sample data."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

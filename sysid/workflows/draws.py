@@ -1,7 +1,5 @@
 """Draws of a fit as parameter sets: what every verb takes that carries the uncertainty on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

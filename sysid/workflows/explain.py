@@ -1,7 +1,5 @@
 """`sysid explain`: what a campaign states wrongly, and what physics the model lacks beside that."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import MutableMapping, Sequence

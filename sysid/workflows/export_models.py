@@ -1,7 +1,5 @@
 """Export of ranked sets: as parameter-set files, or one model of another simulator for each set."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

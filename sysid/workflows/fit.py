@@ -1,7 +1,5 @@
 """`sysid fit-gear`, `sysid fit-motor`: a campaign in, ranked parameter sets out."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack

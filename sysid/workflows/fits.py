@@ -1,7 +1,5 @@
 """`sysid show FOLDER`: the fits in a folder, finished or not."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path

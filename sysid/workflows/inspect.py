@@ -1,7 +1,5 @@
 """What is read: the commands `formats`, `inspect` (a log in words and figures) and `convert`."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

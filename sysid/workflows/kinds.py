@@ -1,7 +1,5 @@
 """The kinds of models that the verbs know: landing gears, motors, and those of `sysid.model`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path

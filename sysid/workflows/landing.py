@@ -1,7 +1,5 @@
 """One landing per set from the command line: histories with units, events and outcome as CSV or HDF5."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """Landing maps and design studies: compute in blocks, write HDF5, draw, compare with real landings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path

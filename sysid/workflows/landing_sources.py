@@ -1,7 +1,5 @@
 """What every landing command shares: sets to drones, controllers, files, computation in blocks."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing

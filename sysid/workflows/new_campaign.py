@@ -1,7 +1,5 @@
 """`sysid new-campaign`: a campaign to fill in, whole, or with what a fit needs and what the logs say."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -5,8 +5,6 @@ to landings or to a search is declared with them (`sysid.landing.settings`, `sys
 `sysid.search_options`). The module imports nothing heavy.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields

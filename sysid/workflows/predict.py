@@ -4,8 +4,6 @@ Every prediction of a campaign by a fit is `predict` on the campaign opened unde
 `sysid.fit.problem.Problem.adopt` for what the fit brings and what is the campaign's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Where a fit comes from: what identifies it to be continued, and what its record states."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

@@ -1,7 +1,5 @@
 """A fit folder opened again with its campaign: the same free parameters, trials and cost as the fit had."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`sysid report`: a fit as one page, with vector figures and films; a page of landing maps or a study."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from pathlib import Path

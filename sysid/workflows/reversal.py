@@ -1,7 +1,5 @@
 """`sysid reversal-time`: how long speed controllers take to reverse the thrust, log by log."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

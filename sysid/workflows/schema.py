@@ -1,7 +1,5 @@
 """`sysid schema`: the JSON Schema of the documents that sysid writes."""
 
-from __future__ import annotations
-
 import json
 
 from sysid.documents import Part

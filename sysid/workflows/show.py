@@ -1,7 +1,5 @@
 """Opens and prints ranked sets."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from contextlib import suppress

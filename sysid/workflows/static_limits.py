@@ -1,7 +1,5 @@
 """Static limits of ranked sets: rigid legs in closed form, the fitted legs set down at once."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

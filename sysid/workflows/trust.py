@@ -1,7 +1,5 @@
 """`sysid trust FIT`: profiles, linearized uncertainty, bootstrap and spread of a fit, kept in its folder."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

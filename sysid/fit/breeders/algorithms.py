@@ -7,8 +7,6 @@ run that was cut off continues exactly where it was once it is given the stored 
 CMA-ES maps whole generations into the cube (`evolution_strategy`); the others go through pymoo's objects.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

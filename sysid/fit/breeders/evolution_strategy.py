@@ -5,8 +5,6 @@ at once rather than for one candidate after the other, which takes most of cma's
 bit for bit, the candidates of `pymoo.algorithms.soo.nonconvex.cmaes.CMAES` with the same options.
 """
 
-from __future__ import annotations
-
 import sys
 from types import ModuleType
 

@@ -7,8 +7,6 @@ parameter) and whose children are clipped to the bounds. Parents are drawn by st
 on fitness scaled as ``1/sqrt(rank)``.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

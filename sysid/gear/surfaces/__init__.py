@@ -1,7 +1,5 @@
 """Friction laws, one file each: every module of this folder that defines `SURFACE` adds a surface."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 

@@ -1,7 +1,5 @@
 """What a surface declares: its compiled friction law, the parameters it reads, and what is free on it."""
 
-from __future__ import annotations
-
 import inspect
 import types
 from collections.abc import Callable, Mapping

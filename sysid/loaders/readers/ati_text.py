@@ -11,8 +11,6 @@ and torque units. ``UserAxis`` is used and not ``Axis``, as the file itself asks
 the maker's basic transform already.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping

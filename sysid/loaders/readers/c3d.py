@@ -8,8 +8,6 @@ over the rate, from the first frame that the header names. Axes are the file's; 
 ezc3d reads the file: real numbers or scaled integers, of Intel or DEC processors.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 from itertools import takewhile

@@ -8,8 +8,6 @@ Thrust is Fz and torque Mz with the sign of the file: the mounting of the cell i
 Ignores cross-talk and temperature: the writer's calibration is taken as it is.
 """
 
-from __future__ import annotations
-
 from sysid.errors import LogError
 from sysid.loaders.clock import declared_rate, row_clock
 from sysid.loaders.columns import NamedTable, listing, parse_header, unread_note

@@ -11,8 +11,6 @@ The body is read as every other text log is, so that a cell that is no number is
 reader that the field uses (lvm_read) turns such cells into gaps and loads pickles that lie beside the file.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager

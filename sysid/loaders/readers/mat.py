@@ -8,8 +8,6 @@ Units that no struct states, also of time, must be declared. Ignores objects (ti
 matrices, which have no plain arrays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial

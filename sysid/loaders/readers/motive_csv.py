@@ -12,8 +12,6 @@ Lost bodies and markers are blank cells, here NaN. Columns of type ``Rigid Body 
 from the body; columns of type ``Marker`` are measured, and keep the plain name where both have the same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 

@@ -12,8 +12,6 @@ Time is the RDT sequence number over the rate: a jump is a lost packet and stays
 the PC's clock at arrival and is not read.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

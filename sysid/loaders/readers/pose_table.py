@@ -12,8 +12,6 @@ Velocities, where the table has them, are kept as channels; the frame of an angu
 file.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

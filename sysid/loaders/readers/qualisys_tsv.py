@@ -7,8 +7,6 @@ can change and are not read. A body or marker whose cells are blank or all zero 
 unless declared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -8,8 +8,6 @@ are on the clock of the point number because their times need not increase). Val
 between two readings of a sensor are kept as recorded.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

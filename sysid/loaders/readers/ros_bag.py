@@ -5,8 +5,6 @@ the topic's name; a TFMessage gives one per child frame. Time is the stamp of th
 time of arrival; lengths are metres and quaternions x, y, z, w by the definition of the messages.
 """
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing

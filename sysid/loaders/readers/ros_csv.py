@@ -7,8 +7,6 @@ header's stamp, which is used where it runs; ``%time`` is the time of arrival. L
 quaternions x, y, z, w by the definition of the messages.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

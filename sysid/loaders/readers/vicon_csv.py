@@ -9,8 +9,6 @@ Rotations: ``Global Angle (Quaternion)`` is x, y, z, w. ``Global Angle`` of Trac
 depends on the pipeline and is not in the file: declare ``angles``.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

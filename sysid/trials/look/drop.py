@@ -4,8 +4,6 @@ Knows no gear and needs no surface (`sysid.trials.flight`). These numbers descri
 release and the touchdown with the campaign's feet and plane (`sysid.trials.fall`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
