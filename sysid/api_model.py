@@ -182,7 +182,7 @@ def model(
     >>> sysid.explain(fit).document.parameters
     ['rest']
     """
-    chosen, given = [], dict(parameters)
+    given = dict(parameters)
     if not isinstance(name, str) or not name.isidentifier() or name in ("gear", "motor"):
         raise CampaignError(f"name {name!r:.60}: expected one word other than gear and motor").also(
             ValueError
@@ -198,8 +198,7 @@ def model(
                 refusal = CampaignError(f"{what}: {one!r} has a meaning in campaigns; choose another name")
                 raise refusal.also(ValueError)
             _check_si(f"{what}: {one}", unit)
-    for one, spec in given.items():
-        chosen.append(_row(one, spec))
+    chosen = [_row(one, spec) for one, spec in given.items()]
     marks = {one: spec[3] for one, spec in given.items() if len(spec) == 4}
     terms = tuple(one for one, mark in marks.items() if mark == "term")
     seconds = parse_quantity(patience, "s") if isinstance(patience, str) else float(patience)

@@ -198,11 +198,9 @@ class Journal:
 _OPEN: ContextVar[Journal | None] = ContextVar("journal", default=None)
 
 
-def notice(
-    code: str, sentence: str, *, trial: str = "", size: float = 0.0, parameters: tuple[str, ...] = ()
-) -> None:
+def notice(code: str, sentence: str, *, trial: str = "", size: float = 0.0) -> None:
     """Make a `Finding` and `hear` it."""
-    hear(Finding(code, sentence, trials=(trial,) if trial else (), size=size, parameters=parameters))
+    hear(Finding(code, sentence, trials=(trial,) if trial else (), size=size))
 
 
 def hear(finding: Finding) -> None:

@@ -98,23 +98,11 @@ class MapSettings:
         return grid(slopes, self.speeds, pitch=self.pitch, horizontal_speed=self.horizontal_speed)
 
 
-def rear_command(front: float = IMPULSE_COMMAND, *, ideal_reversal: bool = False) -> float:
-    """Return the command of the rear pair while the front pair pushes [1]: the paper's two ways.
-
-    A reversal takes too long for an impulse, so the rear pair idles (Figs. 9, 10), and the push of the front
-    pair also drives the drone off the slope. Motors that reverse at once can pull behind as they push in
-    front, "a pure angular impulse" (Fig. 11). The difference is what Fig. 11 shows: with Table II's high
-    friction, on every third degree at eight speeds, faster motors land 65 -> 70 cells and flip in 35 -> 39
-    with the rear pair idle, but 65 -> 83 and 35 -> 23 with it at -0.8.
-    """
-    return -front if ideal_reversal else IDLE_COMMAND
-
-
 @dataclass(frozen=True)
 class ImpulseSettings:
     """Which impulses are tried, by default as in Figs. 9 and 10.
 
-    A `rear` of None is the paper's, see `rear_command`. Motors of an `ideal_reversal` have no saturation. A
+    A `rear` of None is the paper's, see `rear_pair`. Motors of an `ideal_reversal` have no saturation. A
     second impact is looked for until the `horizon` after the first [s], or as long as landings are simulated.
     The optimum is refined to the step `finest` [s]; 0 keeps the grid's.
 
@@ -169,10 +157,17 @@ class ImpulseSettings:
 
     @property
     def rear_pair(self) -> float:
-        """Command of the rear pair in the impulse [1]."""
-        return (
-            rear_command(self.front, ideal_reversal=self.ideal_reversal) if self.rear is None else self.rear
-        )
+        """Command of the rear pair while the front pair pushes [1]; by default one of the paper's two ways.
+
+        A reversal takes too long for an impulse, so the rear pair idles (Figs. 9, 10), and the push of the
+        front pair also drives the drone off the slope. Motors that reverse at once can pull behind as they
+        push in front, "a pure angular impulse" (Fig. 11). The difference is what Fig. 11 shows: with Table
+        II's high friction, on every third degree at eight speeds, faster motors land 65 -> 70 cells and flip
+        in 35 -> 39 with the rear pair idle, but 65 -> 83 and 35 -> 23 with it at -0.8.
+        """
+        if self.rear is not None:
+            return self.rear
+        return -self.front if self.ideal_reversal else IDLE_COMMAND
 
     @property
     def has_none(self) -> bool:

@@ -58,6 +58,8 @@ How = Literal["slides", "tips", "stays"]
 VERTICAL = math.pi / 2
 # Difference between neighbouring slopes in the one simulation that sets a drone down on every slope [rad].
 _PUT = math.radians(0.5)
+# Speed below which a landing is at rest [m/s].
+_CREEP = 0.05
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ class RigidLimits:
 
     slide: float
     tip: float
-    creep: float  # slope of creep at a given speed on a surface that never sticks; elsewhere `slide`
+    creep: float  # slope of creep at 0.05 m/s on a surface that never sticks; elsewhere `slide`
 
     @property
     def first(self) -> StaticLimit:
@@ -113,17 +115,12 @@ def _limit(along: float, normal: float, pressed: float) -> float:
 
 
 def rigid_limits(
-    gear: Mapping[str, float],
-    surface: str | Surface,
-    reverse_thrust: float = 0.0,
-    *,
-    creep_speed: float = 0.05,
+    gear: Mapping[str, float], surface: str | Surface, reverse_thrust: float = 0.0
 ) -> RigidLimits:
     """Return the closed forms for a set of the gear, by name as in `sysid.gear.model.PARAMETERS` [SI].
 
     The surface's static coefficient counts where feet stick, the kinetic one elsewhere. `reverse_thrust` is
-    the sum over all motors [N]; negative lifts. `creep_speed` is for `RigidLimits.creep` [m/s]: below
-    0.05 m/s a landing is at rest.
+    the sum over all motors [N]; negative lifts.
     """
     law = find_surface(surface)
     values, ratio, distance, height = _rig(gear, law, reverse_thrust)
@@ -131,7 +128,7 @@ def rigid_limits(
     static = kinetic + values[law.reads[1]] if law.switching else kinetic
     creep = slide = slide_limit(static, ratio)
     if not law.switching and "slip_regularization" in law.reads:
-        share = creep_speed / (creep_speed + values["slip_regularization"])
+        share = _CREEP / (_CREEP + values["slip_regularization"])
         creep = slide_limit(kinetic * share, ratio)
     return RigidLimits(slide, tip_limit(distance, height, ratio, values["foot_dx"]), creep)
 

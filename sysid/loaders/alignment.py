@@ -85,12 +85,10 @@ def find_offset(path: str, reference: Channel, other: Channel, *, sign: bool = T
     `path` is the second file, for messages. A speed is squared against a thrust or a torque; without `sign`
     the two may be of opposite sign. A channel that is too short or never changes is a LogError.
     """
-    rates = []
     for channel in (reference, other):
         if channel.valid.sum() < _FEWEST:
             raise LogError(f"{path}: {channel.name} has {channel.valid.sum()} samples, too few to align by")
-        rates.append(channel.rate)
-    rate = min(_LARGEST_RATE, max(rates))
+    rate = min(_LARGEST_RATE, max(reference.rate, other.rate))
     start, first = _even(reference, other, rate)
     other_start, second = _even(other, reference, rate)
     if not first.any() or not second.any() or min(first.size, second.size) < _FEWEST:

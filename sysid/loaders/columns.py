@@ -84,20 +84,12 @@ def listing(names: Iterable[str]) -> str:
     return (f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown) or "none"
 
 
-def factor_or_none(unit: str, expected: str) -> float | None:
+def factor_or_none(unit: str, expected: str = "") -> float | None:
     """Return the factor from a unit to SI; None where it is not known or of another dimension."""
     try:
         return factor_to_si(unit, expected)
     except UnitError:
         return None
-
-
-def _is_unit(text: str) -> bool:
-    try:
-        factor_to_si(text)
-    except UnitError:
-        return False
-    return True
 
 
 @contextmanager
@@ -313,7 +305,7 @@ def _units_below(
     units = [cell.strip().strip("[]()").strip() for cell in split_line(text, delimiter)[:count]]
     filled = [unit for unit in units if unit]
     known = len(units) == count and filled and not any(all_numeric([unit]) for unit in filled)
-    if known and all(unit.casefold() in COMMAND_UNITS or _is_unit(unit) for unit in filled):
+    if known and all(unit.casefold() in COMMAND_UNITS or factor_or_none(unit) is not None for unit in filled):
         return units, (number, offset)
     return [], None
 

@@ -135,9 +135,8 @@ def motor_transform(path: str, transform: Mapping[str, object]) -> FloatArray:
     return out
 
 
-def _load_channels(path: str, raw: RawTable, loads: FloatArray, options: BenchOptions) -> dict[str, Channel]:
+def _load_channels(path: str, raw: RawTable, load: FloatArray, options: BenchOptions) -> dict[str, Channel]:
     """Return the six loads: tare off, scaled, at the motor's axes."""
-    load = loads
     tare = options.tare
     if tare is not None:
         if not is_positive(tare):

@@ -393,10 +393,8 @@ def _with_stated(space: SearchSpace, campaign: MotorCampaign, bench: Bench) -> S
     The load cells of the static logs and of the trials have a factor each, because even one cell, mounted
     anew, is hardly the same to 0.1 %. Beside a curve of the trials' own levels their torque is the measure.
     """
-    fixed, ranges = (
-        campaign.parameters.fixed_values(PARAMETERS),
-        campaign.parameters.measured_ranges(PARAMETERS),
-    )
+    choices = campaign.parameters
+    fixed, ranges = choices.fixed_values(PARAMETERS), choices.measured_ranges(PARAMETERS)
     stated = {}
     for name, value in {**bench.values, **fixed}.items():
         low, high = ranges.get(name, (0.0, 0.0))

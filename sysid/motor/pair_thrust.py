@@ -30,7 +30,6 @@ def thrust_history(
     motors: int = 2,
     initial: tuple[float, float] | Literal["steady"] = "steady",
     ideal_reversal: bool = False,
-    tolerance: float = model.TOLERANCE,
 ) -> PiecewiseCubic:
     """Return the thrust of equal motors under a command schedule [N], from 0 to `duration` [s].
 
@@ -55,10 +54,7 @@ def thrust_history(
         start = (float(before.current[0]), float(before.speed[0]))
 
     def sample(time: FloatArray) -> tuple[FloatArray, FloatArray]:
-        run = model.simulate(
-            parameters, instants, levels, time, initial=start, ideal_reversal=ideal_reversal,
-            tolerance=tolerance,
-        )  # fmt: skip
+        run = model.simulate(parameters, instants, levels, time, initial=start, ideal_reversal=ideal_reversal)
         rise = (run.stator_torque - model.aerodynamic_torque(run.speed, parameters)) / inertia
         return motors * run.thrust, motors * model.thrust_slope(run.speed, parameters) * rise
 

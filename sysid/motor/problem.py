@@ -350,11 +350,6 @@ class MotorProblem(Problem):
         """Number of static curves and stated ranges among the disturbances."""
         return len(self._changes)
 
-    @property
-    def ranges(self) -> Mapping[str, tuple[float, float]]:
-        """Ranges that the campaign states of known values [SI], such as a Kv or an inertia."""
-        return self.campaign.parameters.measured_ranges(PARAMETERS)
-
     @cached_property
     def _changes(self) -> FloatArray:
         """(K, n_table) one standard deviation of each static curve and each stated range [SI]."""
@@ -383,7 +378,8 @@ class MotorProblem(Problem):
                 if np.isfinite(root).all():
                     change(names, root)
         # A range is a uniform density; both constants move together.
-        ranges = {name: high - low for name, (low, high) in self.ranges.items() if name not in searched}
+        stated = self.campaign.parameters.measured_ranges(PARAMETERS).items()
+        ranges = {name: high - low for name, (low, high) in stated if name not in searched}
         constants = [ranges.pop(name) for name in CONSTANTS if name in ranges]
         if constants and not {*CONSTANTS} & {*searched} and max(constants) > 0:
             change(CONSTANTS, max(constants) / np.sqrt(12.0))

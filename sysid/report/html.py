@@ -92,12 +92,12 @@ def paragraph(text: str, kind: str = "") -> Html:
     return Html(f"<p{_class(kind)}>{html.escape(text)}</p>")
 
 
-def heading(text: str, level: int = 2, *, linked: bool = True) -> Html:
+def heading(text: str, *, linked: bool = True) -> Html:
     """Return a heading with an identity that a link can name, unless none is `linked` to it."""
     if not linked:
-        return Html(f"<h{level}>{html.escape(text)}</h{level}>")
+        return Html(f"<h2>{html.escape(text)}</h2>")
     identity = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
-    return Html(f'<h{level} id="{identity}">{html.escape(text)}</h{level}>')
+    return Html(f'<h2 id="{identity}">{html.escape(text)}</h2>')
 
 
 def preformatted(text: str) -> Html:

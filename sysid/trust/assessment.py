@@ -27,6 +27,8 @@ from scipy.stats import t as student
 
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, UNJUDGED, Adequacy, adequacy, undisturbed
 from sysid.fit.problem import Problem
+from sysid.fit.search import run_one
+from sysid.fit.settings import SearchSettings
 from sysid.fit.trial import nrmse_of
 from sysid.journal import Say
 from sysid.parameters import SearchSpace
@@ -34,7 +36,7 @@ from sysid.trust.least_squares import Solved, solve
 from sysid.trust.linearized import NORMAL_95, Linearized, gradient_noise, half_widths, linearized, noise_model
 from sysid.trust.problem import scales, trial_rows
 from sysid.trust.profiles import Profiles, walk_profiles
-from sysid.trust.terms import searched, starting_point
+from sysid.trust.terms import downhill, starting_point
 from sysid.trust.verdicts import verdict
 from sysid.types import FloatArray, IntArray
 
@@ -193,7 +195,9 @@ def assess(
         if wider is not None and len(wider.space.free) > len(start):
             tell("all terms that the model may lack, fitted together")
             values = dict(zip(problem.space.names, problem.space.decode(linear.point).tolist(), strict=True))
-            far, _ = searched(wider, starting_point(problem, wider, values))
+            # With all terms free the minimum near a fit is often not the least one.
+            far = run_one(wider, SearchSettings(runs=1)).best_point
+            far, _ = downhill(wider, np.stack([far, starting_point(problem, wider, values)]))
             others.append(linearize_widened(wider.exact, far))
         walked = not_narrower(walked, problem.space, others)
     resampled = None

@@ -22,7 +22,7 @@ import numpy as np
 
 from sysid.fit.problem import Problem
 from sysid.fit.trial import Block, NoiseModel
-from sysid.parameters import SearchSpace
+from sysid.parameters import AT_BOUND, SearchSpace
 from sysid.trust.documents import Partner
 from sysid.trust.problem import Jacobian, jacobian
 from sysid.types import FloatArray
@@ -33,8 +33,6 @@ NORMAL_95 = 1.959964
 CHI2 = {0.68: 0.988946, 0.95: 3.841459}
 # Inverse of the variance of a uniform density over the unit cube's edge.
 _OF_BOUNDS = 12.0
-# Largest distance from a bound of a parameter that is at the bound [unit cube].
-_AT_BOUND = 0.01
 # Least standard deviation of an estimate, over that of a uniform distribution over the parameter's range, at
 # which the data count as saying nothing about the parameter [1].
 _UNSEEN = 0.9
@@ -154,7 +152,7 @@ def bounded_information(jacobian: FloatArray, gradient_noise: FloatArray, point:
     """
     known = information(jacobian, gradient_noise)
     lost = known.sigma > _UNSEEN / np.sqrt(_OF_BOUNDS)
-    kept = np.flatnonzero(~((point <= _AT_BOUND) | (point >= 1.0 - _AT_BOUND) | lost))
+    kept = np.flatnonzero(~((point <= AT_BOUND) | (point >= 1.0 - AT_BOUND) | lost))
     if len(kept) in (0, len(point)):
         return known
     alone = information(jacobian[:, kept], gradient_noise[np.ix_(kept, kept)])

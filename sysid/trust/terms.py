@@ -1,4 +1,4 @@
-"""A fit with further terms of its kind: their parameters freed, searched or walked downhill."""
+"""A fit with further terms of its kind: their parameters freed and walked downhill."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,8 +8,6 @@ import numpy as np
 from sysid.fit.kind import Term
 from sysid.fit.least_squares import Fronts, MeanNrmse, descend, drive
 from sysid.fit.problem import Problem
-from sysid.fit.search import run_one
-from sysid.fit.settings import SearchSettings
 from sysid.types import FloatArray
 
 TOLERANCE, _ITERATIONS = 1e-4, 15
@@ -48,13 +46,3 @@ def downhill(problem: Problem, starts: FloatArray, kept: FloatArray | None = Non
     evaluations = drive(walk, problem.residuals)
     fronts.sort()
     return fronts.points[0].copy(), evaluations
-
-
-def searched(problem: Problem, point: FloatArray) -> tuple[FloatArray, int]:
-    """Return where a default search or a known point (n,) [unit cube] leads, and the scored points.
-
-    With all terms free the minimum near a fit is often not the least one.
-    """
-    run = run_one(problem, SearchSettings(runs=1))
-    best, evaluations = downhill(problem, np.stack([run.best_point, point]))
-    return best, run.evaluations + evaluations

@@ -27,7 +27,7 @@ from sysid.landing.drone import drones
 from sysid.landing.impulse import impulse_maps
 from sysid.landing.maps import landing_maps
 from sysid.landing.outcomes import Outcome
-from sysid.landing.settings import ImpulseSettings, MapSettings, rear_command
+from sysid.landing.settings import ImpulseSettings, MapSettings
 
 pytestmark = pytest.mark.slow
 
@@ -42,9 +42,8 @@ def maps():
     out = {(one.surface, one.controller): one for one in landing_maps(fleets, controllers, GRID)}
     for ideal in (False, True):
         # Motors that reverse at once can push and pull: "a pure angular impulse" (Fig. 11).
-        rear = rear_command(ideal_reversal=ideal)
-        assert rear == (-0.8 if ideal else 0.1)
-        tried = ImpulseSettings(rear=rear, finest=0.0, ideal_reversal=ideal)
+        tried = ImpulseSettings(finest=0.0, ideal_reversal=ideal)
+        assert tried.rear_pair == (-0.8 if ideal else 0.1)
         found = impulse_maps(fleets, GRID, tried)
         out |= {(one.surface, one.controller): one for one in found[1]}
         out |= {(one.surface, f"best{', ideal' if ideal else ''}"): one for one in found[0]}

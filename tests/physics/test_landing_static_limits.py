@@ -70,7 +70,7 @@ def test_limits_of_the_closed_forms():
     assert rigid_limits(LF, "lf", 1e3).first == StaticLimit(math.pi / 2, "stays")
     assert slide_limit(0.44, 1e-9) == pytest.approx(math.atan(0.44), abs=1e-9)
     # The law (8) creeps at eps_v r/(1 - r), r = tan(slope)/mu.
-    creep = rigid_limits(LF, "lf", creep_speed=0.05).creep
+    creep = rigid_limits(LF, "lf").creep
     r = math.tan(creep) / 0.44
     assert 0.01 * r / (1 - r) == pytest.approx(0.05, rel=1e-9)
     assert rigid_limits(HF, "hf").creep == rigid_limits(HF, "hf").slide

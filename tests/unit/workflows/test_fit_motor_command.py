@@ -12,7 +12,7 @@ import pytest
 from fakes.places import SAMPLES
 from sysid.campaign import logs
 from sysid.fit.store import read_fit
-from sysid.journal import Finding, Journal, notice
+from sysid.journal import Finding, Journal, hear
 from sysid.loaders import load
 from sysid.motor import follow_up as motor_stages
 from sysid.recording import file_sha256
@@ -29,7 +29,7 @@ LEFT_OUT = "{}: the dead band was not fitted; continue it with --resume"
 
 def test_a_parameter_that_is_not_identifiable_is_named_once():
     with Journal() as journal:
-        notice("not-identifiable", "k_d is not", parameters=("viscous_damping",))
+        hear(Finding("not-identifiable", "k_d is not", parameters=("viscous_damping",)))
         _add_doubts(journal, [Finding("at-lower-bound", "k_d ends", parameters=("viscous_damping",))])
     assert [(one.code, one.parameters) for one in journal.findings] == [
         ("not-identifiable", ("viscous_damping",))
