@@ -6,7 +6,9 @@ The command line prints it on one line and exits with 2.
 
 from __future__ import annotations
 
+import os
 import re
+import shlex
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Self
@@ -25,6 +27,16 @@ def printable(text: str) -> str:
     """
     text = _UNSEEN.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
     return _LONG.sub(lambda match: f"{match[0][:200]}…", text)
+
+
+def shell(*words: object) -> str:
+    """Return a command as this system's shell takes it: a path with a space is quoted."""
+    texts = [str(word) for word in words]
+    if os.name != "nt":
+        return shlex.join(texts)
+    from subprocess import list2cmdline
+
+    return list2cmdline(texts)
 
 
 class SysidError(Exception):

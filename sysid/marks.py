@@ -183,6 +183,8 @@ def span(text: str, name: str, unit: str = "1") -> tuple[float, ...]:
     if behind and len(parts) > 1 and all(_is_number(part) for part in parts[:-1]):
         parts = [*(f"{part} {behind}" for part in parts[:-1]), parts[-1]]
     try:
+        if ":" in text and len(parts) != 3:
+            raise ValueError
         if unit == "deg" and any(map(_is_number, parts)):
             raise UnitError(f"an angle has no unit; expected for example '{text.strip()} deg'")
         # In `unit`, where bare numbers keep every digit.
@@ -203,7 +205,10 @@ def span(text: str, name: str, unit: str = "1") -> tuple[float, ...]:
         pass
     rising = all(b > a for a, b in pairwise(values))
     if not values or not rising or not all(math.isfinite(value) for value in values):
-        raise CampaignError(f"{name} {text!r}: expected first:last:step or increasing numbers, as in 0:45:1")
+        example = "0:45:1 deg" if unit == "deg" else "0:45:1"
+        raise CampaignError(
+            f"{name} {text!r}: expected first:last:step or increasing numbers, as in {example}"
+        )
     return tuple(round(value, 9) for value in values)
 
 

@@ -91,7 +91,19 @@ def _misused(error: Any) -> str:
         error.show()
         return ""
     words = error.format_message().replace(". Did you mean", ", did you mean").rstrip(".?")
-    where = error.ctx.command_path if error.ctx else "sysid"
+    if hasattr(error.__cause__, "errors"):
+        from sysid.documents import mistake
+
+        wrong = error.__cause__.errors()[0]
+        # A number that pydantic refuses; the choices of a word are typer's own sentence.
+        if wrong["type"] != "value_error":
+            words = f"{max(error.param.opts, key=len)} {wrong['input']!r}: {mistake(wrong)}"
+    known = [one.name for one in app.registered_commands]
+    where = (
+        error.ctx.command_path
+        if error.ctx
+        else " ".join(["sysid", *(w for w in sys.argv[1:2] if w in known)])
+    )
     return f"{words[0].lower()}{words[1:]}; {where} -h says more"
 
 

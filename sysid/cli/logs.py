@@ -8,6 +8,7 @@ import typer
 
 from sysid.cli.adapter import command
 from sysid.cli.root import app, print_json, print_next, synthesize
+from sysid.errors import shell
 from sysid.marks import Argument, Flag
 from sysid.workflows.options import (
     Details,
@@ -120,7 +121,7 @@ def new_campaign(
     given = log_files((*source, *(logs or ())))
     options = parse_options(option) | ({} if format == "auto" else {"format": format})
     written = write_new_campaign(kind, out, given, minimal=minimal, options=options, force=force)
-    print_next(written, f"edit it, then run sysid check {out} and sysid fit-{kind} {out}", json)
+    print_next(written, f"edit it, then run sysid check {shell(out)} and sysid fit-{kind} {shell(out)}", json)
 
 
 @command(synthesize, "gear", "sysid synthesize gear --out my-drops")
@@ -141,7 +142,7 @@ def synthesize_gear(
         out, seed=seed, surface=surface, noise_position=noise_position, noise_angle=noise_angle, rate=rate,
         force=force,
     )  # fmt: skip
-    print_next(folder, f"sysid fit-gear {folder / 'campaign.toml'}", json)
+    print_next(folder, shell("sysid", "fit-gear", folder / "campaign.toml"), json)
 
 
 @command(synthesize, "motor", "sysid synthesize motor --out my-motor")
@@ -156,4 +157,4 @@ def synthesize_motor(
     from sysid.synthetic import synthesize_motor as write
 
     folder = write(out, seed=seed, ideal_reversal=ideal_reversal, force=force)
-    print_next(folder, f"sysid fit-motor {folder / 'campaign.toml'}", json)
+    print_next(folder, shell("sysid", "fit-motor", folder / "campaign.toml"), json)

@@ -131,7 +131,8 @@ class FitProgress(LiveBlock):
     def __enter__(self) -> Self:
         super().__enter__()
         if self._live is None:
-            self.say(f"{self._settings.runs} runs of the search; left {self.time_left()}")
+            runs = self._settings.runs
+            self.say(f"{runs} run{'s' if runs > 1 else ''} of the search; left {self.time_left()}")
         return self
 
     def on_generation(self, run: int, generation: Generation) -> None:

@@ -8,7 +8,6 @@ folder in which either has changed is refused.
 """
 
 import hashlib
-import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import SequenceMatcher
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from sysid import exact_json
-from sysid.errors import FitError
+from sysid.errors import FitError, shell
 from sysid.fit.history import RunHistory, StageHistory
 from sysid.fit.provenance import FitDocument
 from sysid.fit.result import FitResult, TrialResult
@@ -136,13 +135,11 @@ def _meant(path: Path) -> str:
     """Return which fits a path that holds none may stand for, the likeliest first, in words."""
     place = path if path.is_dir() else path.parent
     found = [file.parent for pattern in ("*/fit.h5", "*/*/fit.h5") for file in place.glob(pattern)]
-    # The other files of a fit's folder are no fits.
-    inside = (place / "fit.h5").is_file()
-    found += [place] if inside else [file for file in place.glob("*.h5") if file != path]
+    found += [place] if (place / "fit.h5").is_file() else []
     found.sort(key=lambda one: (-SequenceMatcher(None, one.stem, path.stem).ratio(), one))
-    names = [shlex.quote(str(one)) for one in found[:3]]
+    names = [shell(one) for one in found[:3]]
     if not names and (path / "campaign.toml").is_file():
-        return f"; fit its campaign first: sysid fit {shlex.quote(str(path))}"
+        return f"; fit its campaign first: sysid fit {shell(path)}"
     return f"; did you mean {' or '.join(names)}?" if names else ""
 
 

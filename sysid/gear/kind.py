@@ -11,18 +11,16 @@ from sysid.campaign import GearCampaign
 from sysid.fit.kind import Course, FitOutcome, Kind, Term, Words
 from sysid.fit.nrmse import TrialTarget
 from sysid.gear.drops import PreparedDrop, prepare_drops
-from sysid.gear.model import LF_FREE, PARAMETERS, find_surface
+from sysid.gear.model import PARAMETERS
 from sysid.gear.out_of_plane import misfit_that_leans, notice_out_of_plane
 from sysid.gear.problem import (
     CONSTANTS,
-    NEVER_IN_DROPS,
     TRUST_TOLERANCE,
     GearProblem,
     gear_space,
     on_surface,
     prepare_kernel,
     reaches,
-    read_by_laws,
 )
 from sysid.gear.starts import compared_noise
 from sysid.gear.story import GearStory
@@ -55,42 +53,11 @@ def _open(campaign: GearCampaign, path: Path, threads: int | None) -> GearProble
 
 
 def _begin(problem: GearProblem) -> None:
-    """Tell what is fitted and what is not used, and compile the kernel."""
-    notice_defaults(problem)
+    """Tell what is fitted, and compile the kernel."""
     count = len(problem.fitted.drops)
     validated, free = len(problem.drops) - count, len(problem.space.found)
     tell(f"{count} drops to fit, {validated} to validate; {free} free parameters")
     prepare_kernel(problem.campaign.surface.law)
-
-
-def notice_defaults(problem: GearProblem) -> None:
-    """Name stated values that are not used, and values of the paper's drone that stand in for others."""
-    law, stated = problem.campaign.surface.law, problem.stated
-    for name in (row.name for row in problem.space.found):
-        if name in stated:
-            notice(
-                "stated-and-free",
-                f"{name} is stated in the campaign and free on {law}: the search chooses it, the stated "
-                "value is not used; name it under [parameters.fixed] to keep it",
-            )
-    reads = find_surface(law).reads
-    given = {*stated, *problem.campaign.parameters.fixed, *CONSTANTS, *LF_FREE}
-    left = [
-        f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
-        for name, value in problem.space.fixed.items()
-        if name in PARAMETERS
-        and name not in {*given, *NEVER_IN_DROPS}
-        and (name in reads or name not in read_by_laws())
-    ]
-    if left:
-        notice(
-            "values-of-the-paper",
-            f"not in the campaign, so the values of the paper's F450, scaled to this vehicle, are used: "
-            f"{', '.join(left)}; state your own",
-        )
-    for name in {*NEVER_IN_DROPS} - given:
-        value = f"{problem.space.fixed[name]:.4g} {PARAMETERS[name].unit}"
-        tell(f"{name}: {value}, the paper's scaled to the feet; no drop depends on it, maps and exports do")
 
 
 def _follow_up(problem: GearProblem, course: Course) -> FitOutcome:

@@ -16,6 +16,7 @@ from sysid.fit.result import FitResult
 from sysid.fit.story import Read, ReadTrial, Story
 from sysid.gear.drops import PreparedDrop, lowpass_of
 from sysid.gear.model import (
+    LF_FREE,
     PARAMETERS,
     Drops,
     Ending,
@@ -27,7 +28,7 @@ from sysid.gear.model import (
 )
 from sysid.gear.out_of_plane import tell_limits
 from sysid.gear.plausible import notice_contradictions, notice_odd_vehicle
-from sysid.gear.problem import ONE_TOUCHDOWN, GearProblem
+from sysid.gear.problem import CONSTANTS, NEVER_IN_DROPS, ONE_TOUCHDOWN, GearProblem, read_by_laws
 from sysid.gear.starts import start_roots
 from sysid.gear.stated import CENTRE, RELEASE, SURFACE, TILT, Moved
 from sysid.journal import notice, tell
@@ -69,7 +70,8 @@ class GearStory(Story[GearProblem]):
         return {RELEASE.name: "release", TILT.name: "tilt", **keys}
 
     def tell_stated(self) -> None:
-        """Tell also what is exact because the drops slide along several directions."""
+        """Tell also what is not used, and what is exact because the drops slide along several directions."""
+        notice_defaults(self.problem)
         super().tell_stated()
         campaign = self.problem.campaign
         fitted = (trial for trial in campaign.trials if trial.use == "fit")
@@ -373,3 +375,34 @@ def turning_point(
     rest = float(np.sqrt(np.mean((target - design @ offset) ** 2)))
     error = max(noise, rest) * np.sqrt(np.diag(np.linalg.pinv(design.T @ design)))
     return -offset, np.asarray(error)
+
+
+def notice_defaults(problem: GearProblem) -> None:
+    """Name stated values that are not used, and values of the paper's drone that stand in for others."""
+    law, stated = problem.campaign.surface.law, problem.stated
+    for name in (row.name for row in problem.space.found):
+        if name in stated:
+            notice(
+                "stated-and-free",
+                f"{name} is stated in the campaign and free on {law}: the search chooses it, the stated "
+                "value is not used; name it under [parameters.fixed] to keep it",
+            )
+    reads = find_surface(law).reads
+    given = {*stated, *problem.campaign.parameters.fixed, *CONSTANTS, *LF_FREE}
+    left = [] if "law" in problem.campaign.surface.model_fields_set else [f"law {law}"]
+    left += [
+        f"{name} {value:.4g} {PARAMETERS[name].unit}".removesuffix(" 1")
+        for name, value in problem.space.fixed.items()
+        if name in PARAMETERS
+        and name not in {*given, *NEVER_IN_DROPS}
+        and (name in reads or name not in read_by_laws())
+    ]
+    if left:
+        notice(
+            "values-of-the-paper",
+            f"not in the campaign, so the values of the paper's F450, scaled to this vehicle, are used: "
+            f"{', '.join(left)}; state your own",
+        )
+    for name in {*NEVER_IN_DROPS} - given:
+        value = f"{problem.space.fixed[name]:.4g} {PARAMETERS[name].unit}"
+        tell(f"{name}: {value}, the paper's scaled to the feet; no drop depends on it, maps and exports do")

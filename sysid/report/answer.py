@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sysid.documents import rounded
+from sysid.errors import shell
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, ROUGHLY_BY
 from sysid.fit.result import FitResult
 from sysid.parameter_sets import ACCUSED, KNOWN_ANYHOW, Judged, Known
@@ -145,16 +146,16 @@ def next_step(
         at = judged["misfit"]
         look = (
             f"look at {at['channel']} {at['phase']} on {at['trial']}, where the misfit sits, and change the "
-            f"campaign or the model: `sysid explain {folder}` tries what it may lack."
+            f"campaign or the model: `sysid explain {shell(folder)}` tries what it may lack."
         )
         if anyhow := fit.settings.get(KNOWN_ANYHOW):
             return (
-                f"use {anyhow}: they need no model, and `sysid export {folder} --for gazebo` (or px4, "
+                f"use {anyhow}: they need no model, and `sysid export {shell(folder)} --for gazebo` (or px4, "
                 f"ardupilot, rotorpy, crazyflow) writes them. Values of the model do not count yet: {look}"
             )
         return f"{good_for}No value counts by itself: {look}" if good_for else f"no value counts yet: {look}"
     if trust is None:
-        return f"run `sysid trust {folder}` for intervals: what the data identify is not known yet."
+        return f"run `sysid trust {shell(folder)}` for intervals: what the data identify is not known yet."
     lost = [
         f"{row.symbol} does not matter for these {noun}s: any value "
         f"{'in its bounds' if row.interval == 'open' else with_unit(row.interval, row.unit)} fits alike"
@@ -162,17 +163,17 @@ def next_step(
         if row.lost
     ]
     if not predicted:
-        return f"run `sysid validate {folder}`: how well it predicts is not known yet."
+        return f"run `sysid validate {shell(folder)}`: how well it predicts is not known yet."
     if use is not None and use.word == NOT:
         return f"do not land with these sets: it {use.sentence}. Look at the validation, trial by trial."
     if lost:
-        return f"use the sets: `sysid export {folder}` writes them. {'; '.join(lost)}."
+        return f"use the sets: `sysid export {shell(folder)}` writes them. {'; '.join(lost)}."
     if judged.get("verdict") == ROUGHLY_BY:
         at = judged["misfit"]
         return (
             f"use the sets with care: {at['channel']} {at['phase']} is {at['phase_ratio']:.1f} × its noise."
         )
-    return f"use the sets: `sysid export {folder}` writes them for a simulator."
+    return f"use the sets: `sysid export {shell(folder)}` writes them for a simulator."
 
 
 def parameter_table(fit: FitResult, trust: TrustDocument | None, truth: Mapping[str, float]) -> Table:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar
 import numpy as np
 from matplotlib.figure import Figure
 
-from sysid.errors import ExportError
+from sysid.errors import ExportError, shell
 from sysid.fit.adequacy import NOT_BY, Bias
 from sysid.fit.optima import unfixed
 from sysid.fit.result import FitResult, TrialResult
@@ -241,14 +241,14 @@ class FitReport:
     def answer(self) -> Html:
         """Return what a reader wants first: one word, three figures, the next step; warnings by finding."""
         predicted = predicted_over_noise(
-            self.validations, self.known.held_out, f"sysid validate {self.folder}"
+            self.validations, self.known.held_out, shell("sysid", "validate", self.folder)
         )
         use = documents.use_of(self.folder) or self.known.use
         tiles = (
             over_noise(self.fit),
             predicted,
             *use_tile(use),
-            counts(self.fit.judged.values() if self.trust else None, f"sysid trust {self.folder}"),
+            counts(self.fit.judged.values() if self.trust else None, shell("sysid", "trust", self.folder)),
         )
         found = [IN_A_WORD.get(self.fit.provenance.get("adequacy", {}).get("verdict"), NOT_JUDGED)]
         found += [OF_USE[use.word]] if use is not None and use.word else []

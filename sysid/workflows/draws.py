@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sysid.errors import FitError
+from sysid.errors import FitError, shell
 from sysid.export import load_parameter_sets
 from sysid.fit.result import FitResult
 from sysid.fit.store import fit_folder, read_fit
@@ -67,11 +67,13 @@ def drawn_sets(source: str | Path, count: int) -> ParameterSets:
     fit = read_fit(source)
     document = TrustDocument.read(folder)
     if document is None:
-        raise FitError(f"{folder}: has no intervals, so nothing can be drawn; run sysid trust {folder} first")
+        raise FitError(
+            f"{folder}: has no intervals, so nothing can be drawn; run sysid trust {shell(folder)} first"
+        )
     values = stored_draws(folder, fit)
     if values is None:
         raise FitError(
-            f"{folder}: its intervals are of an older version, without draws; run sysid trust {folder}"
+            f"{folder}: its intervals are of an older version, without draws; run sysid trust {shell(folder)}"
         )
     if count > len(values):
         opened = reopen(folder, fit, None, None)

@@ -12,7 +12,7 @@ import tomlkit
 from sysid.campaign import read_campaign
 from sysid.campaign.file import resolve_log
 from sysid.campaign.swaps import Swap
-from sysid.errors import ExportError, FitError
+from sysid.errors import ExportError, FitError, shell
 from sysid.fit.adequacy import EXPLAINED_BY, adequacy
 from sysid.journal import Journal, Say
 from sysid.report.drawing import check_figure_name, save_figure
@@ -178,7 +178,7 @@ def _adopted(opened: OpenedFit, document: ExplainDocument, adopt: Path) -> str:
     # The campaign keeps its name, by which its fit would take the place of this one.
     folder = opened.folder.resolve()
     out = shown_from_here(folder.with_name(f"{folder.name}-{adopt.stem}"))
-    return f"wrote {adopt}; fit it next: sysid fit {adopt} --out {out}"
+    return f"wrote {adopt}; fit it next: {shell('sysid', 'fit', adopt, '--out', out)}"
 
 
 def edited(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sysid.campaign import read_campaign
-from sysid.errors import FitError, SysidError
+from sysid.errors import FitError, SysidError, shell
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, Adequacy, adequacy, misfit_finding
 from sysid.fit.checkpoint import PROBES, PROCESSOR, Checkpoint
 from sysid.fit.history import RunHistory, summed
@@ -152,7 +152,7 @@ def fit_campaign(
                     shown, beside = stating_intervals(result, document), partial(part_files, document, arrays)
                 except (SysidError, CutShort) as error:
                     # The fit is whole without its intervals.
-                    missing = f"no intervals ({error}); run sysid trust {folder}"
+                    missing = f"no intervals ({error}); run sysid trust {shell(folder)}"
                 except BaseException:
                     # Neither Ctrl-C nor a fault in the intervals loses the sets; --resume makes them.
                     write_fit(result, folder, replaces)
@@ -186,7 +186,7 @@ def _not_assessed(outcome: FitOutcome, follows: bool, folder: Path) -> Iterator[
         if not follows and row.name in outcome.settings.get(NOT_ASSESSED, ()):
             sentence = (
                 f"{in_words(row, of_trial=False)} was not assessed, and the data may give it no more than a "
-                f"bound: no digits are printed until sysid trust {folder} finds its interval"
+                f"bound: no digits are printed until sysid trust {shell(folder)} finds its interval"
             )
             yield about(row, "not-assessed", sentence)
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shlex
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sysid.errors import CampaignError, LogError, SegmentError, SysidError
+from sysid.errors import CampaignError, LogError, SegmentError, SysidError, shell
 from sysid.journal import Finding, folded, spoken
 from sysid.loaders import formats, load
 from sysid.loaders.alignment import join_recordings
@@ -198,7 +197,7 @@ def _print_missing(
     command += [part for name, value in stated.items() for part in ("-o", f"{name} = {toml_value(value)}")]
     what = "what is missing" if refused else "columns that are not read, with the others"
     console.print(Text(f"  {what}, as guessed; check it, and replace each TODO:", style="bold"))
-    console.print(Text(f"    {shlex.join(command)}"), soft_wrap=True)
+    console.print(Text(f"    {shell(*command)}"), soft_wrap=True)
     if lacking.fault:
         console.print(Text(f"  even then: {lacking.fault}"))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sysid.errors import shell
 from sysid.gear.model import PARAMETERS as GEAR
 from sysid.landing.design_study import DesignStudy
 from sysid.landing.maps import LandingMap, cell_edges
@@ -256,14 +256,14 @@ class _Simulate:
         self, surface: str, slope: str | int, speed: str | int, rules: Rules, *more: str | int
     ) -> Command:
         """Return the command of a landing; a number is what each cell replaces, and `more` is as written."""
-        head = shlex.join(["sysid", "simulate", str(self.gears[surface]), *self.common])
+        head = shell("sysid", "simulate", self.gears[surface], *self.common)
         parts = [f"{head} --slope ", slope, "deg --speed ", speed, *more]
         usual = Rules()
         for name, hint in field_hints(Rules).items():
             flag = mark_of(hint)
             value = getattr(rules, name)
             if isinstance(flag, Flag) and value != getattr(usual, name):
-                parts.append(f" {shlex.join([*flag.spelled(name), flag.bare(value)])}")
+                parts.append(f" {shell(*flag.spelled(name), flag.bare(value))}")
         return tuple(parts)
 
     def controller(self, stated: Mapping[str, Any], file: str | None) -> str:
@@ -271,7 +271,7 @@ class _Simulate:
         words = ["--controller", stated["name"]]
         words += ["--trigger", "imu"] if stated["sensing"] else []
         words += ["--controller-file", str(shown_from_here(self.folder / file))] if file else []
-        return f" {shlex.join(words)}"
+        return f" {shell(*words)}"
 
 
 def _map_charts(content: MapFile, rules: Rules, simulate: _Simulate) -> list[CellChart]:

@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader
 
 from sysid.campaign.gear import SLOPE_ERROR
 from sysid.campaign.logs import load_stated
-from sysid.errors import CampaignError, SysidError
+from sysid.errors import CampaignError, SysidError, shell
 from sysid.loaders import formats
 from sysid.loaders.options import DECLARED
 from sysid.recording import Recording
@@ -76,7 +76,7 @@ def write_new_campaign(
             except SysidError as error:
                 if not error.needs:
                     raise
-                hint = f"sysid inspect {log} shows all that is missing"
+                hint = f"sysid inspect {shell(log)} shows all that is missing"
                 raise type(error)(f"{error}; {hint}") from error
             report = inspect_recording(recording)
             if report.kind not in kinds:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
-from sysid.errors import CampaignError, ExportError, LogError
+from sysid.errors import CampaignError, ExportError, LogError, shell
 from sysid.fit.settings import SearchSettings
 from sysid.journal import notice
 from sysid.landing.outcomes import Rules
@@ -33,7 +33,8 @@ def campaign_file(path: Path) -> Path:
     if len(files) != 1:
         found, then = ", ".join(file.name for file in files) or "no .toml file", "name the file"
         if not files and any(file.is_file() and not _no_log(file) for file in path.iterdir()):
-            then = f"write one for the logs in it: sysid new-campaign gear (or motor) --minimal --from {path}"
+            command = f"sysid new-campaign gear (or motor) --minimal --from {shell(path)}"
+            then = f"write one for the logs in it: {command}"
         raise CampaignError(f"{path}: expected one campaign in this folder, found {found}; {then}")
     return files[0]
 

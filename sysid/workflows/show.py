@@ -1,12 +1,11 @@
 """Opens and prints ranked sets."""
 
 import os
-import shlex
 from contextlib import suppress
 from pathlib import Path
 
 from sysid import exact_json
-from sysid.errors import SysidError
+from sysid.errors import SysidError, shell
 from sysid.export import load_parameter_sets
 from sysid.fit.adequacy import EXPLAINED_BY, NOT_BY, WORDS, scores_in_words
 from sysid.fit.result import FitResult
@@ -37,7 +36,7 @@ def print_sets(source: str | Path, json: bool) -> None:
     if folder is not None and (climbed := ExplainDocument.read(folder)):
         from sysid.report.explain import conclusion
 
-        print_lines([f"explain: {conclusion(climbed)[0]}; all of it: sysid report {folder}"])
+        print_lines([f"explain: {conclusion(climbed)[0]}; all of it: sysid report {shell(folder)}"])
 
 
 def is_unfinished(result: FitResult) -> bool:
@@ -67,28 +66,28 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
     place = result.provenance.get("campaign", {}).get("from_fit_folder")
     campaign = os.path.normpath(folder / place) if place else "CAMPAIGN"
     command = f"fit-{result.kind}" if result.kind in ("gear", "motor") else "fit"
-    again = f"{command} {campaign} --out {folder} --resume"
-    cut = (again + _given(result, campaign), "first: finish the runs that were cut short")
+    again = [command, campaign, "--out", folder, "--resume", *_given(result, campaign)]
+    cut = (again, "first: finish the runs that were cut short")
     use = (
-        (f"validate {folder} CAMPAIGN", "does it predict trials that it has not seen?"),
-        (f"export {folder} --out sets.json", "the sets for a simulator"),
+        (["validate", folder, "CAMPAIGN"], "does it predict trials that it has not seen?"),
+        (["export", folder, "--out", "sets.json"], "the sets for a simulator"),
     )
-    anyhow = (f"export {folder} --for gazebo", "thrust, torque and time constants, which need no model")
+    anyhow = (["export", folder, "--for", "gazebo"], "thrust, torque and time constants, which need no model")
     mend = (
         *([anyhow] if result.settings.get(KNOWN_ANYHOW) else []),
-        (f"check {campaign}", "do the logs contradict the campaign?"),
-        (f"explain {folder}", "which stated value, log or physics is wrong?"),
+        (["check", campaign], "do the logs contradict the campaign?"),
+        (["explain", folder], "which stated value, log or physics is wrong?"),
     )
-    plugins = "".join(f" --plugin {shlex.quote(str(file))}" for file in NAMED)
-    for command, what in (
+    plugins = [word for file in NAMED for word in ("--plugin", file)]
+    for words, what in (
         *([] if result.state == "done" else [cut]),
-        (f"report {folder}", "one page with every trial, to open in a browser"),
+        (["report", folder], "one page with every trial, to open in a browser"),
         *(mend if result.provenance.get(ADEQUACY, {}).get("verdict") == NOT_BY else use),
     ):
-        print_lines([f"  sysid {command + plugins:<40}  {what}"])
+        print_lines([f"  sysid {shell(*words, *plugins):<40}  {what}"])
 
 
-def _given(result: FitResult, campaign: str) -> str:
+def _given(result: FitResult, campaign: str) -> list[str]:
     """Return the options that neither a checkpoint nor the campaign has, as they were given."""
     from sysid.campaign import read_campaign
 
@@ -100,9 +99,8 @@ def _given(result: FitResult, campaign: str) -> str:
         read = read_campaign(campaign)
         law = getattr(getattr(read, "surface", None), "law", None)
         stated = {"runs": read.fit.runs, "surface": law}
-    return "".join(
-        f" --{name} {value}" for name, value in same.items() if value and value != stated.get(name)
-    )
+    given = {name: value for name, value in same.items() if value and value != stated.get(name)}
+    return [word for name, value in given.items() for word in (f"--{name}", str(value))]
 
 
 def verdict_on(result: FitResult) -> str:

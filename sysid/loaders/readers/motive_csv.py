@@ -198,7 +198,7 @@ def _parse(source: Source, options: CaptureOptions) -> RawCapture:
     names = [body.name for body in bodies]
     for body in bodies:
         if not body.columns("Rotation", "XYZ"):
-            raise LogError(f'{path}: rigid body "{body.name}" has no rotation columns; export it whole')
+            raise LogError(f'{path}: rigid body "{body.name}" lacks a rotation column; export it whole')
         if names.count(body.name) > 1:
             raise LogError(f'{path}: two rigid bodies are named "{body.name}"; rename one and export again')
 

@@ -7,9 +7,10 @@ import pytest
 from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, SysidWarning
-from sysid.gear.kind import notice_defaults
 from sysid.gear.model import PARAMETERS, SURFACES, parameters_on
 from sysid.gear.problem import GearProblem, gear_space, on_surface
+from sysid.gear.story import notice_defaults
+from sysid.workflows.check import check_campaign
 
 
 def opened(tmp_path, surface, text="", stated=""):
@@ -75,6 +76,17 @@ def test_a_drop_with_an_exact_point_of_its_own_has_no_value_of_the_paper(tmp_pat
     assert "surface_dx[drop-1]" not in space.stated
     notice_defaults(GearProblem(campaign, space, ()))
     assert not [w for w in recwarn if "surface_dx" in str(w.message)]
+
+
+def test_check_names_what_the_campaign_leaves_to_the_paper(tmp_path):
+    path = shutil.copytree(SAMPLES / "gear-lf", tmp_path / "drops") / "campaign.toml"
+    lines = path.read_text("utf-8").splitlines()
+    path.write_text(
+        "\n".join(one for one in lines if not one.startswith(("law =", "kinetic_friction ="))), "utf-8"
+    )
+    warnings = check_campaign(path, say=lambda sentence: None).warnings
+    (warning,) = (one for one in warnings if "values of the paper" in one)
+    assert "law lf, kinetic_friction 0.44" in warning
 
 
 def test_a_stated_value_outside_the_surfaces_bounds_is_refused(tmp_path):

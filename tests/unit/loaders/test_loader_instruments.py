@@ -413,7 +413,7 @@ def test_kept_bodies(write):
     (take(QUAD, []), "no rows of numbers after line 7"),
     (take(QUAD, ROWS[::-1]), r"line 9: time goes back from 0\.01 s to 0 s"),
     (take(QUAD[:-1], [row[:-2] for row in ROWS]), '"quad" lacks one of Position X, Y, Z'),
-    (take(asset("Rigid Body", "quad", POINT), ["0,0,1,2,3"]), 'rigid body "quad" has no rotation columns'),
+    (take(asset("Rigid Body", "quad", POINT), ["0,0,1,2,3"]), 'rigid body "quad" lacks a rotation column'),
     (take([*QUAD, *QUAD], ROWS), 'repeats Rotation X of "quad"'),
     (take(asset("Skeleton", "man", BODY), ROWS), "no rows of types and components"),
     (take(QUAD, ROWS).replace(b"Frame,", b"Bild,"), 'no column row "Frame,Time,..."'),

@@ -89,7 +89,9 @@ def test_fit_gear_show_export_and_read_back(drops, run, tmp_path, refused):
         (("fit-gear",), "missing argument 'CAMPAIGN'; sysid fit-gear -h says more"),
         (("fit-gear", "x", "--run", "3"), "no such option: --run (Possible options: --resume, --runs,"),
         (("fit-gear", "x", "--algorithm", "nsga"), "'nsga' is not one of 'ga', 'matlab-ga', 'cmaes',"),
-        (("fit-gear", "x", "--runs", "-3"), "invalid value for '--runs': Input should be greater than"),
+        (("fit-gear", "x", "--runs", "-3"), "--runs '-3': expected at least 1; sysid fit-gear -h says more"),
+        (("fit-gear", "x", "--runs", "abc"), "--runs 'abc': expected a whole number; sysid fit-gear -h"),
+        (("simulate", "x", "--slope"), "option '--slope' requires an argument; sysid simulate -h says more"),
         (("simulate", "x", "--slope", "20 deg", "--speed", "1"), "missing option '--motor'; sysid simulate"),
     ],
 )  # fmt: skip

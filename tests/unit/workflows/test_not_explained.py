@@ -1,6 +1,7 @@
 """A model that lacks something, from the end of its fit to its exports: what is said of it, and how often."""
 
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pandas as pd
@@ -46,6 +47,13 @@ def test_no_trial_is_to_be_dropped_before_the_terms_were_tried(fit, monkeypatch)
     for line in lines:
         assert "; a term that the model lacks does that: try sysid explain first [" in line
         assert "validate" not in line
+
+
+def test_commands_to_run_next_quote_a_path_with_a_space(fit, capsys):
+    print_fit(fit().result, Path("my fits/ü"), False)
+    printed = capsys.readouterr().out
+    assert "  sysid report 'my fits/ü' " in printed
+    assert "  sysid explain 'my fits/ü' " in printed
 
 
 @pytest.mark.parametrize("bad", [1, None])

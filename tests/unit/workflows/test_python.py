@@ -57,6 +57,12 @@ def test_what_is_no_path_is_refused_by_every_verb(given):
             sysid.fit_gear(SAMPLES / "gear-lf", given)
 
 
+def test_the_package_is_found_beside_a_clone_of_its_name(tmp_path):
+    (tmp_path / "sysid").mkdir()
+    command = [sys.executable, "-c", "import sysid; sysid.load_fit"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+
+
 def test_what_is_no_rank_no_kind_and_no_number_is_refused(gear):
     for rank in (None, 1.5, "1", 0, 10**400):
         with pytest.raises(sysid.SysidError, match="no set of rank"):
