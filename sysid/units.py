@@ -113,6 +113,8 @@ def parse_quantity(text: str, expected: str) -> float:
     if not match:
         raise UnitError(f"{text!r} is not a number with a unit; expected for example '1 {expected}'")
     number, unit = match.groups()
+    if unit[:1] == "," and unit[1:2].isdigit():
+        raise UnitError(f"{text!r} has a decimal comma; write '{text.strip().replace(',', '.')}'")
     if not unit and expected != "1":
         # Nothing of a drone is as long as 10 m.
         long = expected == "m" and abs(float(number)) >= 10
