@@ -88,7 +88,7 @@ def trial_view(
             for simulated in trial.simulated[:0:-1]
         ]
         curves.append(
-            Curve("measured", factor * measured, "ink", "dots" if alone or len(time) <= _DENSE else "line")
+            Curve("measured", factor * measured, "ink", "dots" if alone or len(time) <= _DENSE else "thick")
         )
         if beside is not None and other is not None and fit.channels[c] in other.channels:
             at = beside.time - beside.time[0]

@@ -104,7 +104,7 @@ def thrust_panel(
     """Return measured and simulated thrust (S, n) [N] of the samples (n,) that are `inside`."""
     assert trial.thrust is not None
     curves = [Curve("other sets", each[inside], "others", "thin", scaled=False) for each in simulated[:0:-1]]
-    curves.append(Curve("measured", trial.thrust[inside], "ink"))
+    curves.append(Curve("measured", trial.thrust[inside], "ink", "thick"))
     curves.append(Curve("best set", simulated[0, inside], "best", scaled=False))
     return Panel(label, "N", curves)
 
@@ -193,8 +193,9 @@ def reversal_view(
     """
     inside = np.asarray((trial.time >= command - _BEFORE) & (trial.time <= command + _AFTER))
     c = fit.channels.index("speed")
+    measured = np.where(trial.valid[inside, c], trial.measured[inside, c], np.nan)
     curves = [
-        Curve("measured", np.where(trial.valid[inside, c], trial.measured[inside, c], np.nan), "ink"),
+        Curve("measured", measured, "ink", "thick"),
         Curve("best set", trial.simulated[0, inside, c], "best", scaled=False),
     ]
     if np.isfinite(edge):

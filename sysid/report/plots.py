@@ -42,7 +42,7 @@ from sysid.types import FloatArray
 
 # Colours by name; page.css gives each one a value on light and on dark paper.
 Colour = Literal["ink", "best", "others", "band", "blue", "green", "pink", "amber", "faint"]
-Look = Literal["line", "thin", "dashed", "dots", "steps"]
+Look = Literal["line", "thin", "thick", "dashed", "dots", "steps"]
 # Colours of fits, or groups, whose curves share a panel, in their order.
 SERIES: tuple[Colour, ...] = ("best", "blue", "green", "pink", "amber", "others")
 # Colours of the rows of bars, in their order.

@@ -130,7 +130,7 @@
       const data = [this.view.xs], series = [{}], bands = [], seen = [];
       for (const c of panel.curves) {
         const show = !this.hidden.has(c.label), stroke = css(c.colour);
-        const look = { show, stroke, width: c.look === "thin" ? 1 : 1.8, spanGaps: !!c.spans, auto: !c.loose && !c.upto, points: { show: false } };
+        const look = { show, stroke, width: { thin: 1, thick: 3.2 }[c.look] || 1.8, spanGaps: !!c.spans, auto: !c.loose && !c.upto, points: { show: false } };
         if (c.look === "dashed") look.dash = [6, 4];
         if (c.look === "steps") look.paths = uPlot.paths.stepped({ align: 1 });
         if (c.look === "dots") { look.paths = () => null; look.points = { show: true, size: 4.5, fill: stroke, width: 0 }; }
@@ -378,7 +378,7 @@
           } else {
             let pen = "M";
             const path = points.map((p) => { if (!p) { pen = "M"; return ""; } const piece = pen + p; pen = "L"; return piece; }).join("");
-            out.push(`<path fill="none" stroke="${colour}" stroke-width="${c.look === "thin" ? 0.8 : 1.5}" d="${path || "M0 0"}"/>`);
+            out.push(`<path fill="none" stroke="${colour}" stroke-width="${{ thin: 0.8, thick: 2.6 }[c.look] || 1.5}" d="${path || "M0 0"}"/>`);
           }
         }
         out.push(`</g><rect x="${left}" y="${top}" width="${wide}" height="${height}" fill="none" stroke="${css("text")}"/>`);

@@ -552,7 +552,7 @@ def test_a_slow_sensor_beside_a_fast_one_is_drawn_as_dots(tmp_path):
     looks = [
         [curve["look"] for curve in panel["curves"] if curve["label"] != "other sets"] for panel in panels
     ]
-    assert looks[:2] == [["line", "line"], ["thin"]]
+    assert looks[:2] == [["thick", "line"], ["thin"]]
     assert looks[-2:] == [["dots", "line"], ["dots"]]
 
 
