@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +17,7 @@ from sysid.api import Campaign
 from sysid.errors import CampaignError, UnitError
 from sysid.own import OwnModel
 from sysid.parameters import Parameter, ParameterTable
-from sysid.storage import path_of, write_file
+from sysid.storage import check_file, path_of, write_file
 from sysid.types import FloatArray
 from sysid.units import factor_to_si, parse_quantity
 from sysid.workflows.kinds import register
@@ -49,8 +50,9 @@ class Model:
         self, trials: Mapping[str, Recorded], folder: str | Path | None = None, *,
         inputs: Mapping[str, Mapping[str, float | str]] | None = None, validate: Collection[str] = (),
         noise: Mapping[str, str | float] | None = None, weights: Mapping[str, float] | None = None,
+        force: bool = False,
     ) -> Campaign:  # fmt: skip
-        """Write a campaign of trials, and return it.
+        """Write a campaign of trials, and return it; an existing one is replaced only with `force`.
 
         Parameters
         ----------
@@ -61,9 +63,9 @@ class Model:
             Where the campaign goes; without it, it lasts as long as this object and the fits of it.
         inputs : mapping, optional
             Quantities of each trial that `simulate` reads, such as ``{"swing-1": {"load": "0.2 kg"}}``;
-            a bare number has no unit.
+            a bare number has no unit, and is refused where the model's input has one.
         validate : collection of str
-            Trials that are not fitted.
+            Names of the trials that are not fitted.
         noise : mapping, optional
             Standard deviation of the samples of channels, such as ``{"angle": "0.5 deg"}``, instead of what
             the logs show.
@@ -75,39 +77,56 @@ class Model:
         if not isinstance(trials, Mapping) or not trials:
             refusal = CampaignError(f"trials: expected tables or files by name, found {trials!r:.60}")
             raise refusal.also(TypeError)
+        validate = (validate,) if isinstance(validate, str) else validate
         unknown = [name for name in (*validate, *(inputs or {})) if name not in trials]
         if unknown:
             raise CampaignError(f"no trial {unknown[0]!r}; there are {', '.join(trials)}").also(KeyError)
         self.content.check_channels("weights", weights or {})
         self.content.check_channels("noise", noise or {})
+        given = {name: self._inputs(name, (inputs or {}).get(name, {})) for name in trials}
         tables = {
-            name: self._table(name, recorded)
+            name: self._table(name, recorded, given[name])
             for name, recorded in trials.items()
             if isinstance(recorded, pd.DataFrame)
         }
-        place.mkdir(parents=True, exist_ok=True)
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise CampaignError(f"{place}: cannot be made ({error.strerror}); name another folder") from error
+        check_file(place / "campaign.toml", force=force, error_type=CampaignError)
         lines = [f"kind = {json.dumps(self.name)}", f'name = "{place.name if folder else self.name}"']
-        for table, given in (("cost.weights", weights), ("noise", noise)):
-            lines += [f"[{table}]"] if given else []
-            for name, value in (given or {}).items():
-                stated = f"{value!r} {self.content.channels.get(name, '')}" if table == "noise" else value
-                lines.append(
-                    f"{json.dumps(name)} = {json.dumps(value if isinstance(value, str) else stated)}"
-                )
-        for name, recorded in trials.items():
-            log = f"{len(lines)}.csv"
+        stated = {
+            name: _quantity(value, self.content.channels[name]) for name, value in (noise or {}).items()
+        }
+        weighted = {name: float(value) for name, value in (weights or {}).items()}
+        for table, values in (("cost.weights", weighted), ("noise", stated)):
+            lines += [f"[{table}]"] if values else []
+            lines += [f"{json.dumps(name)} = {json.dumps(value)}" for name, value in values.items()]
+        for number, (name, recorded) in enumerate(trials.items(), start=1):
+            log = f"{number}-{re.sub(r'[^A-Za-z0-9._-]', '_', name)[:60]}.csv"
             if name in tables:
                 write_file(place / log, tables[name].encode("utf-8"), CampaignError)
             else:
                 log = Path(os.path.relpath(path_of(recorded, "a log"), place)).as_posix()
             lines += ["[[trials]]", f"name = {json.dumps(name)}", f"log = {json.dumps(log)}"]
             lines += ['use = "validate"'] if name in validate else []
-            for key, value in (inputs or {}).get(name, {}).items():
-                lines.append(f"{json.dumps(key)} = {json.dumps(value)}")
+            lines += [f"{json.dumps(key)} = {json.dumps(value)}" for key, value in given[name].items()]
         write_file(place / "campaign.toml", ("\n".join(lines) + "\n").encode("utf-8"), CampaignError)
         return Campaign.read(place / "campaign.toml", kept)
 
-    def _table(self, name: str, frame: pd.DataFrame) -> str:
+    def _inputs(self, name: str, given: Mapping[str, float | str]) -> dict[str, str]:
+        """Return the inputs of a trial as a campaign states them."""
+        known = self.content.inputs
+        if unknown := [one for one in given if one not in known]:
+            refusal = f"trial {name!r}: {unknown[0]!r} is no input of {self.name}; it has {', '.join(known)}"
+            raise CampaignError(refusal).also(KeyError)
+        for one, value in given.items():
+            if not isinstance(value, str) and known[one] != "1":
+                refusal = f"trial {name!r}: {one} = {value!r} has no unit; write '{value} {known[one]}'"
+                raise CampaignError(refusal).also(ValueError)
+        return {one: _quantity(value, known[one]) for one, value in given.items()}
+
+    def _table(self, name: str, frame: pd.DataFrame, inputs: Mapping[str, str]) -> str:
         """Return a table as a text log, every column with its unit."""
         columns: dict[str, FloatArray] = {}
         clock = next((c for c in frame.columns if str(c).split("[")[0].strip() in ("time", "t")), None)
@@ -128,6 +147,11 @@ class Model:
             raise CampaignError(
                 f"trial {name!r}: no column for the channel {lacking[0]!r}; found {found}; name it as the "
                 "model does"
+            ).also(KeyError)
+        if lacking := [one for one in self.content.inputs if one not in have and one not in inputs]:
+            raise CampaignError(
+                f"trial {name!r}: no column for the input {lacking[0]!r}; add the column, or state a number "
+                f"for the trial: inputs={{{name!r}: {{{lacking[0]!r}: ...}}}}"
             ).also(KeyError)
         return pd.DataFrame(columns).to_csv(index=False)
 
@@ -182,6 +206,10 @@ def model(
     >>> sysid.explain(fit).document.parameters
     ['rest']
     """
+    mappings = {"parameters": parameters, "channels": channels, "inputs": inputs or {}}
+    for what, mapping in mappings.items():
+        if not isinstance(mapping, Mapping):
+            raise CampaignError(f"{what} {mapping!r:.60}: expected a mapping by name").also(TypeError)
     given = dict(parameters)
     if not isinstance(name, str) or not name.isidentifier() or name in ("gear", "motor"):
         raise CampaignError(f"name {name!r:.60}: expected one word other than gear and motor").also(
@@ -202,6 +230,12 @@ def model(
     marks = {one: spec[3] for one, spec in given.items() if len(spec) == 4}
     terms = tuple(one for one, mark in marks.items() if mark == "term")
     seconds = parse_quantity(patience, "s") if isinstance(patience, str) else float(patience)
+    if not seconds > 0:
+        raise CampaignError(f"patience = {patience!r}: expected a time above 0, in s").also(ValueError)
+    if both := [one for one in channels if one in (inputs or {})]:
+        raise CampaignError(
+            f"{both[0]!r} is a channel and an input; simulate finds the channels in `trial` as well"
+        ).also(ValueError)
     return Model(OwnModel(
         name, simulate, ParameterTable(chosen), tuple(one for one in given if one not in terms), terms,
         tuple(one for one, mark in marks.items() if mark == "each trial"), dict(channels), dict(inputs or {}),
@@ -220,6 +254,8 @@ def _row(name: str, spec: Any) -> Parameter:
         low, high = float(spec[0]), float(spec[1])
     except (TypeError, ValueError):
         raise CampaignError(expected).also(TypeError) from None
+    if isinstance(spec[0], str) or isinstance(spec[1], str) or not np.isfinite([low, high]).all():
+        raise CampaignError(expected).also(ValueError)
     _check_si(name, spec[2])
     term = spec[3:] == ("term",)
     if term and not low <= 0 <= high:
@@ -230,6 +266,11 @@ def _row(name: str, spec: Any) -> Parameter:
     return Parameter(
         name, name, spec[2], nominal, low, high, "log" if wide else "linear", f"{name}.", "guess"
     )
+
+
+def _quantity(value: float | str, unit: str) -> str:
+    """Return a quantity as a campaign states it; a bare number is in SI."""
+    return value if isinstance(value, str) else f"{float(value)!r} {unit}"
 
 
 def _check_si(what: str, unit: str) -> None:

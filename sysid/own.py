@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -114,6 +115,9 @@ class OwnModel:
     def _open(self, campaign: OwnCampaign, path: Path, threads: int | None) -> OwnProblem:
         self.check_channels("cost.weights", campaign.cost.weights)
         self.check_channels("noise", campaign.noise)
+        for name, text in campaign.noise.items():
+            if not parse_quantity(text, self.channels[name]) > 0:
+                raise CampaignError(f"noise: {name} = {text!r}; expected more than 0")
         logs = tuple(self._log(campaign, entry, path) for entry in campaign.trials)
         rows, drawn = [], sorted((log.name for log in logs), key=name_order)
         for row in self.table.values():
@@ -144,6 +148,9 @@ class OwnModel:
             if not np.isfinite(columns[name]).all():
                 raise LogError(f"{log}: {name}: has blank samples, and simulate reads it; fill or cut them")
         inputs = {name: columns[name] for name in (*self.channels, *series)} | constants
+        # A function that computes in place would change the data that it is compared with.
+        for values in (instants, *columns.values()):
+            values.setflags(write=False)
         record = {"log": entry.log, "sha256": file_sha256(log)}
         return OwnRecord(entry.name, entry.use, instants, measured, inputs, record)
 
@@ -285,7 +292,7 @@ class OwnProblem(Problem):
         try:
             try:
                 _WATCH.begin(self.model.patience)
-                got = self.model.simulate(values, log.time, log.inputs)
+                got = self.model.simulate(values, log.time, MappingProxyType(log.inputs))
             finally:
                 _WATCH.end()
             got = np.asarray(got, dtype=np.float64)

@@ -317,6 +317,8 @@ def numbers_for(
     form = TARGETS.get(target)
     if form is None:
         raise ExportError(f"unknown target {target!r}; expected one of {', '.join(TARGETS)}")
+    if mass is not None and not 0 < mass < np.inf:
+        raise ExportError(f"mass = {mass!r}: expected a number above 0, in kg").also(ValueError)
     if sets.kind != "motor":
         raise ExportError(f"{target} takes a motor's numbers; {sets.name} has {sets.kind} sets")
     times, supply, commanded = _seen(sets)

@@ -94,8 +94,33 @@ def test_each_trial_has_its_own_number_and_reads_its_inputs():
     assert fit.sets.best["start[full]"] == pytest.approx(2.0, rel=0.02)
     # A bare number has no unit: 0 ms might as well be 0 s, and 35 be degrees.
     bare = {"half": {"gain": 0.5, "lag": 0.0}, "full": {"gain": 1}}
-    with pytest.raises(sysid.SysidError, match=r"trials\['half'\]\.lag: '0\.0' has no unit; expected"):
-        sysid.fit_campaign(owner.campaign({"half": half, "full": full}, inputs=bare), **SMALL)
+    with pytest.raises(sysid.SysidError, match=r"trial 'half': lag = 0\.0 has no unit; write '0\.0 s'"):
+        owner.campaign({"half": half, "full": full}, inputs=bare)
+    with pytest.raises(sysid.SysidError, match="trial 'half': no column for the input 'lag'; add the column"):
+        owner.campaign({"half": half}, inputs={"half": {"gain": np.int64(1)}})
+    with pytest.raises(sysid.SysidError, match="trial 'half': 'gian' is no input of"):
+        owner.campaign({"half": half}, inputs={"half": {"gian": 1}})
+
+
+def test_a_function_cannot_change_what_it_is_compared_with():
+    def greedy(values, time, trial):
+        time -= 0.1
+        return decay(values, time, trial)
+
+    with pytest.raises(sysid.SysidError, match="read-only"):
+        sysid.fit_campaign(campaign(greedy), trust=False, **SMALL)
+
+
+def test_a_campaign_is_replaced_only_with_force(tmp_path):
+    owner = made()
+    owner.campaign({"b": table()}, tmp_path / "bench")
+    with pytest.raises(sysid.SysidError, match="exists already"):
+        owner.campaign({"c": table()}, tmp_path / "bench")
+    owner.campaign({"c": table()}, tmp_path / "bench", force=True)
+    assert [file.name for file in sorted((tmp_path / "bench").glob("*.csv"))] == ["1-b.csv", "1-c.csv"]
+    for noise in (0, -0.1, "-1 V"):
+        with pytest.raises(sysid.SysidError, match="expected more than 0"):
+            owner.campaign({"a": table()}, noise={"level": noise}).check()
 
 
 def test_failures_are_counted_and_their_first_message_is_told():
@@ -190,6 +215,10 @@ def test_a_function_that_cannot_be_fitted_is_refused_in_a_sentence(simulate, wor
         ({"parameters": {"rate": (1, 2, "blub")}}, "unknown unit 'blub'"),
         ({"channels": {"level": "mV"}}, "'mV' is no SI unit"),
         ({"simulate": 3}, "expected a function of values, time, trial"),
+        ({"parameters": ["rate"]}, "parameters ['rate']: expected a mapping by name"),
+        ({"parameters": {"rate": (1, np.inf, "1/s")}}, "expected (lower, upper, 'unit')"),
+        ({"inputs": {"level": "V"}}, "'level' is a channel and an input"),
+        ({"patience": 0}, "expected a time above 0"),
     ],
 )
 def test_what_declares_no_model_is_refused_in_a_sentence(changed, words):
@@ -207,7 +236,7 @@ def test_logs_that_lack_a_column_or_its_unit_are_refused(tmp_path):
     ):
         (tmp_path / "log.csv").write_text(text, encoding="utf-8")
         with pytest.raises(sysid.SysidError, match=r"log\.csv") as refusal:
-            made().campaign({"a": tmp_path / "log.csv"}, tmp_path / "campaign").check()
+            made().campaign({"a": tmp_path / "log.csv"}, tmp_path / "campaign", force=True).check()
         assert words in str(refusal.value)
 
 
