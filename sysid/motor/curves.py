@@ -230,10 +230,11 @@ def _check_propeller(direction: Rotation, curve_logs: Sequence[CurveLog], logs: 
             if share < least or share > most:
                 other = "static" if table == "no_load" else "no_load" if share < _BARE else ""
                 step = f"name it under curves.{other}" if other else "name the log of the trials' propeller"
+                names = ", ".join(one.name for one in logs)
                 raise LogError(
                     f"{log.entry.log}, named under curves.{table}, {direction}: its torque is "
-                    f"{share:.2g} of the trials' at the same speed; expected a log {word}: {step}, or "
-                    "correct its torque unit"
+                    f"{share:.2g} times that of {names} at the same speed; expected a log {word}: {step}, or "
+                    "correct the unit of torque or speed in one of these logs"
                 )
 
 

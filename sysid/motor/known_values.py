@@ -47,6 +47,9 @@ NO_INDUCTANCE = (
 )
 # Factor between a stated value and the logs that only a wrong unit explains [1].
 _ABSURD = 10.0
+# Command from which the supply's current is the motor's [1], and the ratio of Kv to the largest one that this
+# current allows from which one of them is wrong [1].
+_FULL, _KV_ABOVE = 0.99, 1.05
 # Largest relative error of a rating that agrees with the logged current [1].
 _SCALE_AGREES = 0.1
 
@@ -141,6 +144,9 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     values, measured, stated = _known_values(campaign, curves, reference, voltage_source, current)
     _check_ratings(campaign, fitted, curve_logs, values)
     points = SteadyPoints.join(list(curves.loaded.values()))
+    commanded = all(log.commanded for log in fitted)
+    if campaign.motor.kv is not None and campaign.log.current == "supply" and commanded:
+        _check_kv_at_full_command(campaign.motor.kv, points)
     slow = not any(log.fast for log in fitted) and campaign.log.current == "supply"
     power = None
     if slow and campaign.motor.kv is not None and curves.ties:
@@ -208,6 +214,28 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
         raise CampaignError(f"{sentence}; correct kv or reference_voltage, and their units")
     if not low <= ratio <= high:
         notice("odd-kv", f"{sentence}; check kv and reference_voltage")
+
+
+def _check_kv_at_full_command(kv: float, points: SteadyPoints) -> None:
+    """Notice a Kv [rad/s/V] that needs more current than the supply gives where its duty is 1.
+
+    There the supply's current is the motor's, which makes the torque τ = I/Kv at most.
+    """
+    full = (np.abs(points.u) > _FULL) & (np.abs(points.torque) > 0) & np.isfinite(points.current)
+    if not full.any():
+        return
+    current, torque = np.abs(points.current[full]), np.abs(points.torque[full])
+    first = int(np.argmin(current / torque))
+    most = float(current[first] / torque[first])
+    if kv > _KV_ABOVE * most:
+        rpm = 30.0 / np.pi
+        notice(
+            "kv-above-current",
+            f"motor.kv: {rpm * kv:.4g} rpm/V would need {kv * torque[first]:.4g} A for the "
+            f"{torque[first]:.3g} N·m at full command, and the supply gave {current[first]:.4g} A, which "
+            f"allows {rpm * most:.4g} rpm/V at most: measure Kv (speed over supply voltage without "
+            "propeller), or correct the current or the torque; R and L change as 1/Kv²",
+        )
 
 
 def _check_ratings(
