@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from sysid.api_landing import design_study as design_study
     from sysid.api_landing import impulse_map as impulse_map
     from sysid.api_landing import landing_map as landing_map
+    from sysid.api_landing import numbers_for as numbers_for
     from sysid.api_landing import simulate_drop as simulate_drop
     from sysid.api_landing import simulate_landing as simulate_landing
     from sysid.api_landing import static_limits as static_limits
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from sysid.api_model import model as model
     from sysid.errors import SysidError as SysidError
     from sysid.export import load_parameter_sets as load_parameter_sets
-    from sysid.export.numbers import numbers_for as numbers_for
     from sysid.parameter_sets import ParameterSets as ParameterSets
 
 # A fit's matrices are small: several threads of BLAS wait for one another, take up to twice the processor
@@ -58,12 +58,12 @@ _HOMES = {
         "fit_gear", "fit_motor", "inspect", "load_fit", "load_log", "validate",
     ),
     "sysid.api_landing": (
-        "design_study", "impulse_map", "landing_map", "simulate_drop", "simulate_landing", "static_limits",
+        "design_study", "impulse_map", "landing_map", "numbers_for", "simulate_drop", "simulate_landing",
+        "static_limits",
     ),
     "sysid.api_model": ("Model", "model"),
     "sysid.errors": ("SysidError",),
     "sysid.export": ("load_parameter_sets",),
-    "sysid.export.numbers": ("numbers_for",),
     "sysid.parameter_sets": ("ParameterSets",),
 }  # fmt: skip
 __all__ = sorted(name for names in _HOMES.values() for name in names)

@@ -87,8 +87,10 @@ def documented(options: Any) -> Callable[[Function], Function]:
     def add(function: Function) -> Function:
         marks = dict(_marks(options))
         names = [name for name in signature(function).parameters if name in marks]
+        # A bare number is in SI.
+        units = {"": "", "deg": " [rad, or a text such as '20 deg']"}
         lines = [
-            f"{name} : {marks[name].help}" + f" [{marks[name].unit}]" * bool(marks[name].unit)
+            f"{name} : {marks[name].help}{units.get(marks[name].unit, f' [{marks[name].unit}]')}"
             for name in names
         ]
         text = "\n".join(["Options", "-------", *lines])
@@ -249,13 +251,17 @@ class Judgement(Shown, Generic[Doc]):
             }
             return rows, "parameter"
         if isinstance(document, ExplainDocument):
-            rungs = [document.base, *document.simpler, *document.alone]
+            verdicts = (
+                (document.base, "as fitted"),
+                *((rung, "too simple" if rung.kept else "as good") for rung in document.simpler),
+                *((rung, "kept" if rung.kept else "not kept") for rung in document.alone),
+            )
             rows = {
                 " and ".join(rung.terms) or "as fitted": {"NRMSE": rung.nrmse, "over noise": rung.over_noise}
-                | {"gain": rung.gain, "chance": rung.chance, "verdict": "kept" if rung.kept else "not kept"}
-                for rung in rungs
+                | {"gain": rung.gain, "chance": rung.chance, "verdict": word}
+                for rung, word in verdicts
             }
-            return rows, "term"
+            return rows, "model"
         assert isinstance(document, ValidationDocument | CrossValidationDocument)
         rows = {
             trial.name: {"NRMSE": trial.nrmse[0], "over noise": trial.ratio}
@@ -571,6 +577,15 @@ def fit_motor(
 def _fitted(given: Mapping[str, Any]) -> Fit:
     """Return the fit that the arguments of a function ask for."""
     path, out, progress = campaign_path(given["campaign"]), given["out"], given["progress"]
+    limit, law = given["time_limit"], given["law"]
+    if law is not None and not isinstance(law, Mapping):
+        raise CampaignError(f"law = {law!r:.60}: expected a mapping such as {{'surface': 'hf'}}").also(
+            TypeError
+        )
+    if isinstance(limit, int | float) and not limit > 0:
+        raise CampaignError(f"time_limit = {limit!r}: expected a time above 0, in s").also(ValueError)
+    if given["resume"] and out is None:
+        raise FitError("resume = True: no folder was kept to go on with; name it as out").also(ValueError)
     kept = TemporaryDirectory(prefix="sysid-") if out is None else None
     folder = Path(kept.name) / "fit" if kept else path_of(out, "the new fit folder")
     options = python_options(FitOptions, given, out=folder, quiet=not progress, details=True)

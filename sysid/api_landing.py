@@ -9,13 +9,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from sysid.api import Fit, documented, place_of, python_options
 from sysid.errors import CampaignError, ExportError
 from sysid.export import load_parameter_sets
+from sysid.export.numbers import TargetNumbers
+from sysid.export.numbers import numbers_for as motor_numbers
 from sysid.landing.design_study import DesignStudy, find_changes
 from sysid.landing.design_study import design_study as study_of
 from sysid.landing.drone import Pairing, drone
@@ -32,6 +34,7 @@ from sysid.report.landing_figures import figure_impulse, figure_of_file
 from sysid.resume import Computing
 from sysid.shown import Shown
 from sysid.storage import check_file, path_of
+from sysid.units import parse_quantity
 from sysid.workflows.draws import sets_or_draws
 from sysid.workflows.landing import controller_of, land_drone
 from sysid.workflows.landing_maps import controlled_maps, impulsive_maps
@@ -68,6 +71,41 @@ def sets_of(given: object) -> ParameterSets:
         return load_parameter_sets(given)
     found = type(given).__name__
     raise ExportError(f"expected sets, such as sets.best, a fit or its path, found a {found}").also(TypeError)
+
+
+def numbers_for(sets: Sets, target: str, *, rank: int = 1, mass: Quantity | None = None) -> TargetNumbers:
+    """Return a motor's numbers for a simulator or flight controller, with 95 % intervals and a check.
+
+    Parameters
+    ----------
+    sets : ParameterSets, Fit, path or RankedSet
+        Of a motor; the set of `rank` is taken, 1 is the best.
+    target : str
+        ``gazebo``, ``rotorpy``, ``crazyflow``, ``px4`` or ``ardupilot``.
+    mass : float or str, optional
+        Mass of a drone with four such motors [kg, or a text with its unit], of whose hover the check speaks.
+
+    Raises
+    ------
+    ExportError
+        When the target is unknown, the sets are no motor's, or they give none of its numbers.
+
+    Notes
+    -----
+    See `sysid.export.numbers.numbers_for` for what an interval combines.
+
+    Examples
+    --------
+    >>> import sysid
+    >>> sets = sysid.load_parameter_sets("data_samples/published/published-motor.json")
+    >>> numbers = sysid.numbers_for(sets, "gazebo", mass=1.2)
+    >>> float(numbers.to_frame().value["motorConstant"])
+    1.2e-05
+    >>> numbers.check
+    'at maxRotVelocity, 749.8 rad/s, one rotor gives 6.747 N and 0.09277 N·m; ...'
+    """
+    kilograms = parse_quantity(mass, "kg") if isinstance(mass, str) else mass
+    return motor_numbers(sets_of(sets), target, rank=rank, mass=kilograms)
 
 
 def _drawn(given: Sets, draws: int | None, *, best: bool = False) -> ParameterSets:
@@ -163,7 +201,9 @@ class LandingMaps(Shown):
         return figure_of_file(self.content)
 
     def plot_impulse(self) -> Figure:
-        """Return delay and duration of the best impulses in the manner of Figs. 9 and 10."""
+        """Return delay and duration of the best impulses (Figs. 9 and 10) of an `impulse_map`."""
+        if not self.content.impulses:
+            raise ExportError("these maps have no impulses; sysid.impulse_map searches them")
         return figure_impulse(self.content.impulses)
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:
@@ -343,6 +383,8 @@ def _fleets(
     anyway: bool,
 ) -> tuple[Fleets, dict[str, object]]:
     """Return the drones of every gear, and where their numbers come from."""
+    if pair not in get_args(Pairing):
+        raise ExportError(f"pair = {pair!r}: expected 'best' or 'each'").also(ValueError)
     loaded = [_drawn(gear, draws) for gear in _several(gears, "gears")]
     rotor = _drawn(motor, draws, best=True)
     fleets = paired_fleets(loaded, rotor, pair, [one.name for one in (*loaded, rotor)], anyway=anyway)

@@ -28,6 +28,7 @@ from sysid.parameters import Parameter, SearchSpace, with_unit
 from sysid.shown import Shown
 from sysid.storage import path_of
 from sysid.types import BoolArray, FloatArray
+from sysid.units import parse_quantity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -623,20 +624,23 @@ class ParameterSets(SetsContent, Shown):
         return RankedSet(self, rank)
 
     def save(
-        self, path: str | Path, *, force: bool = False, rank: int | None = None, slope: float = 0.0,
-        per_leg: bool = False, mass: float | None = None,
+        self, path: str | Path, *, force: bool = False, rank: int | None = None, slope: float | str = 0.0,
+        per_leg: bool = False, mass: float | str | None = None,
     ) -> list[Path]:  # fmt: skip
         """Write the sets in the format that the suffix of `path` names, and return the files.
 
         The suffix is ``.json``, ``.csv``, ``.h5`` or ``.mat``; ``.xml`` is a MuJoCo model and ``.sdf`` a
         Gazebo motor model of every set, or of the one of a `rank`. `slope` [rad] and `per_leg` are for
-        MuJoCo, the `mass` [kg] of a drone for Gazebo. An existing file is replaced only with `force`.
-        ExportError when the sets do not suit the format, or a file cannot be written.
+        MuJoCo, the `mass` [kg] of a drone for Gazebo; both may be texts with a unit. An existing file is
+        replaced only with `force`. ExportError when the sets do not suit the format, or a file cannot be
+        written.
         """
         # A writer stands above the sets that it writes.
         write = resolve_name("sysid.workflows.export_models:export_sets")
+        tilt = parse_quantity(slope, "rad") if isinstance(slope, str) else slope
+        kilograms = parse_quantity(mass, "kg") if isinstance(mass, str) else mass
         files: list[Path] = write(
-            self, path_of(path, "the new file"), force, rank=rank, slope=slope, per_leg=per_leg, mass=mass
+            self, path_of(path, "the new file"), force, rank=rank, slope=tilt, per_leg=per_leg, mass=kilograms
         )
         return files
 

@@ -278,21 +278,9 @@ def _literal(rows: list[Given]) -> str:
 def numbers_for(
     sets: ParameterSets, target: str, *, rank: int = 1, mass: float | None = None
 ) -> TargetNumbers:
-    """Return a motor's numbers for a simulator or flight controller, with 95 % intervals and a check.
+    """Return the numbers of the set of a `rank` of a motor; the `mass` [kg] is of a drone with four such.
 
-    Parameters
-    ----------
-    sets : ParameterSets
-        Of a motor; the set of `rank` is taken, 1 is the best.
-    target : str
-        ``gazebo``, ``rotorpy``, ``crazyflow``, ``px4`` or ``ardupilot``.
-    mass : float, optional
-        Mass of a drone with four such motors [kg], of whose hover the check then speaks.
-
-    Raises
-    ------
-    ExportError
-        When the target is unknown, the sets are no motor's, or they give none of its numbers.
+    ExportError when the target is unknown, the sets are no motor's, or they give none of its numbers.
 
     Notes
     -----
@@ -303,16 +291,6 @@ def numbers_for(
     beside the intervals of R and L, which contain its stated error. Where the steady speed is no line of the
     command, its levels count as they were measured, with the supply that sags under their load. Where the
     model does not explain the logs, time constants come from the steps in the logs, if the fit states them.
-
-    Examples
-    --------
-    >>> import sysid
-    >>> sets = sysid.load_parameter_sets("data_samples/published/published-motor.json")
-    >>> numbers = sysid.numbers_for(sets, "gazebo", mass=1.2)
-    >>> numbers.to_frame().value["motorConstant"]
-    1.2e-05
-    >>> numbers.check
-    'at maxRotVelocity, 749.8 rad/s, one rotor gives 6.747 N and 0.09277 N·m; ...'
     """
     form = TARGETS.get(target)
     if form is None:

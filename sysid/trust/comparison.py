@@ -132,6 +132,10 @@ def compare_values(
             if math.isfinite(allowed):
                 allowed = math.sqrt(allowed**2 - 2 * common * math.prod(reach))
             doubt = _doubt(fits, rows, reach)
+            # The dead band's is no interval of 95 %.
+            ranges = [sets[k].judged.get(name) for k, row in zip(pair, rows, strict=True) if row is None]
+            if ranges and all(documents[k] is not None for k in pair) and ranges[0] is not None:
+                doubt = f"its interval is {ranges[0].doubt}, by which no difference is judged"
             share = distance / values[0] if values[0] else math.nan
             texts = [with_unit(f"{value:.4g}", record.unit) for value in values]
             sentence = (

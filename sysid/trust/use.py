@@ -156,9 +156,11 @@ def judged_use(trials: Iterable[tuple[list[NumberOfUse], ClassOfUse | None]], *,
             groups.setdefault((number.what.split(",")[0], number.unit), []).append(number)
     classes = [each for _, each in pairs if each is not None]
     right = sum(each.measured == each.predicted for each in classes)
-    held = sum(number.held for numbers in groups.values() for number in numbers) + right
-    count = sum(map(len, groups.values())) + len(classes)
-    words = [word for word, share in SHARES.items() if count and held / count >= share]
+    held = sum(number.held for numbers in groups.values() for number in numbers)
+    count = sum(map(len, groups.values()))
+    # A class counts as a number does.
+    asked = count + len(classes)
+    words = [word for word, share in SHARES.items() if asked and (held + right) / asked >= share]
     widths = [
         Width(
             what=what, unit=unit, held=sum(each.held for each in numbers), count=len(numbers),
@@ -168,6 +170,6 @@ def judged_use(trials: Iterable[tuple[list[NumberOfUse], ClassOfUse | None]], *,
         for (what, unit), numbers in groups.items()
     ]  # fmt: skip
     return Use(
-        word=[*words, NOT][0] if drawn and count >= FEW else "", drawn=drawn, held=held, count=count,
+        word=[*words, NOT][0] if drawn and asked >= FEW else "", drawn=drawn, held=held, count=count,
         classes_right=right, classes=len(classes), widths=widths,
     )  # fmt: skip

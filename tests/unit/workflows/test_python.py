@@ -63,6 +63,36 @@ def test_the_package_is_found_beside_a_clone_of_its_name(tmp_path):
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
 
 
+def test_numbers_and_exports_take_any_sets_and_masses_with_units(tmp_path):
+    whole = sysid.load_parameter_sets(MOTOR_SETS)
+    for sets in (whole, MOTOR_SETS, whole.best):
+        assert "1.2 kg" in sysid.numbers_for(sets, "gazebo", mass="1200 g").check
+    for mass in (-1, 0, math.nan, math.inf):
+        with pytest.raises(sysid.SysidError, match="expected a number above 0, in kg"):
+            sysid.numbers_for(MOTOR_SETS, "gazebo", mass=mass)
+        with pytest.raises(sysid.SysidError, match="expected a number above 0, in kg"):
+            whole.save(tmp_path / "m.sdf", rank=1, mass=mass)
+    with pytest.raises(sysid.SysidError, match="found a int"):
+        sysid.numbers_for(3, "gazebo")
+    sysid.load_parameter_sets(PUBLISHED / "published-gear-lf.json").save(tmp_path / "g.xml", slope="20 deg")
+
+
+def test_what_python_alone_can_state_wrongly_is_refused(gear, motor):
+    campaign = SAMPLES / "gear-lf"
+    for words, given in (
+        ("law = 'hf': expected a mapping", {"law": "hf"}),
+        ("time_limit = 0: expected a time above 0", {"time_limit": 0}),
+        ("no folder was kept to go on with", {"resume": True}),
+    ):
+        with pytest.raises(sysid.SysidError, match=words):
+            sysid.fit_campaign(campaign, **given)
+    grid = {"slopes": [0, 10], "speeds": [0.5], "check": False}
+    with pytest.raises(sysid.SysidError, match="pair = 'foo': expected 'best' or 'each'"):
+        sysid.landing_map(gear, motor, pair="foo", **grid)
+    with pytest.raises(sysid.SysidError, match="these maps have no impulses"):
+        sysid.landing_map(gear, motor, **grid).plot_impulse()
+
+
 def test_what_is_no_rank_no_kind_and_no_number_is_refused(gear):
     for rank in (None, 1.5, "1", 0, 10**400):
         with pytest.raises(sysid.SysidError, match="no set of rank"):
