@@ -142,7 +142,9 @@ def load_log(path: str | Path, *, format: str = "auto", **options: object) -> Lo
     >>> log.to_frame().columns.tolist()
     ['command [us]', 'speed [rad/s]', 'thrust [N]', 'torque [N·m]']
     """
-    return Log(**vars(load(path_of(path, "a log"), format=format, **options)))
+    # numpy's numbers as well
+    plain = {name: getattr(value, "item", lambda value=value: value)() for name, value in options.items()}
+    return Log(**vars(load(path_of(path, "a log"), format=format, **plain)))
 
 
 def inspect(path: str | Path, *, format: str = "auto", **options: object) -> LogReport:

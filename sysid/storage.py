@@ -194,7 +194,7 @@ def check_folder(
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     if not force:
-        replaced = " or replace it with --force" if (path / marker).is_file() else ""
+        replaced = " or replace it with --force (in Python: force=True)" if (path / marker).is_file() else ""
         raise error_type(f"{path} exists already; choose a new name{replaced}")
     if not (path / marker).is_file():
         raise error_type(
@@ -229,7 +229,7 @@ def check_file(path: str | Path, *, force: bool, error_type: type[SysidError] = 
     if path.is_dir():
         raise error_type(f"{path}: is a folder; name a file in it")
     if path.exists() and not force:
-        raise error_type(f"{path}: exists already; choose a new name or add --force")
+        raise error_type(f"{path}: exists already; choose a new name or add --force (in Python: force=True)")
     try:
         tempfile.TemporaryFile(dir=path.resolve().parent).close()
     except OSError as error:

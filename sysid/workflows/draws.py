@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from numbers import Integral
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +57,7 @@ def drawn_sets(source: str | Path, count: int) -> ParameterSets:
     The first ones that the fit stores; of more than these, all are made again, which needs the campaign.
     Raises `FitError` where the fit has no intervals, or an older version computed them.
     """
-    if not (isinstance(count, int) and 1 <= count <= _MOST):
+    if not (isinstance(count, Integral) and 1 <= count <= _MOST):
         raise FitError(f"{count!r:.60} draws of {source}: expected 1 or more, up to {_MOST}, for example 50")
     folder = fit_folder(Path(source))
     if Path(source).is_file() and folder == Path(source):

@@ -118,7 +118,8 @@ def unseen(fit: FitResult, problem: Problem, path: Path) -> list[str]:
     if not left:
         raise FitError(
             f"{path}: the fit was made from every trial in it, so they validate nothing; keep trials out of "
-            "the fit with use = 'validate', or name no campaign: each trial is then predicted by the others"
+            "the fit with use = 'validate', or name no campaign (in Python: sysid.cross_validate): each "
+            "trial is then predicted by the others"
         )
     return left
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid.errors import LogError
 from sysid.filters import ChebyshevLowpass
-from sysid.journal import Finding, note
+from sysid.journal import Finding, note, notice
 from sysid.loaders import load
 from sysid.motor.targets import uniform_filtered
 from sysid.recording import Channel
@@ -230,13 +230,28 @@ def print_reversal_times(
 ) -> None:
     """Time the reversals of several logs by `log_reversals`, print them side by side, draw them as in Fig. 3.
 
-    Raises `SysidError` for the first log that cannot be used; nothing is written then.
+    Of several logs, those without a reversal are named and left out. Raises `SysidError` where none can be
+    timed, or one is not there; nothing is written then.
     """
-    timed = [log_reversals(path, options) for path in logs]
+    timed: list[LogReversals] = []
+    used: list[Path] = []
+    refusals: list[LogError] = []
+    for path in logs:
+        try:
+            timed.append(log_reversals(path, options))
+            used.append(path)
+        except LogError as error:
+            if len(logs) == 1 or not path.exists():
+                raise
+            refusals.append(error)
+    if not timed:
+        raise refusals[0]
+    for refusal in refusals:
+        notice("not-timed", f"left out: {refusal}")
     names = [log.name for log in timed]
     # The folders distinguish two logs of one file name.
     if len(set(names)) < len(names):
-        timed = [replace(log, name=str(path)) for log, path in zip(timed, logs, strict=True)]
+        timed = [replace(log, name=str(path)) for log, path in zip(timed, used, strict=True)]
     if figure is not None:
         save_figure(figure_reversals(timed), figure)
     document = {"level": LEVEL, "logs": [log.document(options.slow) for log in timed]}

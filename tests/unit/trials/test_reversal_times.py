@@ -1,6 +1,7 @@
 """Timing of thrust reversals: by hand-made thrust, by simulation, through the command line."""
 
 import json
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -252,6 +253,14 @@ def test_command_line_compares_logs(run, tmp_path):
     assert first["outlier_share"] == 0
     assert len(document["logs"][1]["repetitions"]) == 5
     assert document["logs"][0]["crossing_from"] == "speed"
+
+
+def test_logs_of_a_folder_that_do_not_reverse_are_named_and_left_out(run):
+    code, out, err = run("reversal-time", SAMPLES)
+    assert code == 0
+    assert "reversal-2.h5  +0.30 → -0.62" in out
+    assert re.search(r"left out: \S*forward-1\.csv: no reversal that can be timed", err)
+    assert err.count("left out: ") == 7
 
 
 @pytest.mark.parametrize(
