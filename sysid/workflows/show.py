@@ -67,7 +67,7 @@ def print_fit(result: FitResult, folder: Path, json: bool, details: bool = False
     campaign = os.path.normpath(folder / place) if place else "CAMPAIGN"
     command = f"fit-{result.kind}" if result.kind in ("gear", "motor") else "fit"
     again = [command, campaign, "--out", folder, "--resume", *_given(result, campaign)]
-    cut = (again, "first: finish the runs that were cut short")
+    cut = (again, "first: finish what was cut short")
     use = (
         (["validate", folder, "CAMPAIGN"], "does it predict trials that it has not seen?"),
         (["export", folder, "--out", "sets.json"], "the sets for a simulator"),

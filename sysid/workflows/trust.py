@@ -190,7 +190,7 @@ def _doubtful(
                 "rough there, or hardly depends on it): read its profile, not its linearized sigma"
             )
             yield about(parameter, "rough-derivative", sentence, rough)
-        if jump > _MOVED:
+        if jump > _MOVED and row.verdict != "not_identifiable":
             sentence = (
                 f"{name}: the best set is {jump:.1f} standard deviations from where the sum of squares is "
                 "least; the search has not converged, or its simulations are too inexact (fit.tolerance)"
