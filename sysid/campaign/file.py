@@ -73,8 +73,8 @@ def read_campaign(path: str | Path, kind: str | None = None, *, exact: bool | No
             point.load()
     if not isinstance(stated, str) or stated not in _KINDS:
         raise CampaignFileError(
-            f"{path}: {'has no kind' if stated is None else f'kind is {stated!r}'}; expected "
-            f"{' or '.join(f'kind = {one!r}' for one in sorted(_KINDS, reverse=True))}; "
+            f"{path}: {'states no kind' if stated is None else f'kind is {stated!r}'}; expected "
+            f"{' or '.join(map(repr, sorted(_KINDS, reverse=True)))}; "
             "--plugin names the Python file of a model of your own"
         )
     if kind is not None and stated != kind:
