@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from sysid import exact_json
 from sysid.errors import FitError, SysidWarning
 from sysid.fit.adequacy import UNSEARCHED
 from sysid.fit.trial import Trial
-from sysid.parameter_sets import ParameterRecord, ParameterSets
+from sysid.parameter_sets import INTERVALS, ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.documents import (
     FreeParameter,
@@ -200,6 +201,20 @@ def test_without_profiles_nothing_is_judged():
         ("a", "b"), [_sets("a", 1.0, status="fixed"), _sets("b", 2.0)], *2 * [[None, None]]
     )
     assert fixed == []
+
+
+def test_a_range_that_is_no_interval_judges_nothing_and_is_called_so():
+    row = {
+        "interval_95": [0.9, 1.1],
+        "open_95": [False, False],
+        "verdict": "well",
+        "doubt": "a range of NRMSE",
+    }
+    sets = [replace(_sets(name, 1.0), settings={INTERVALS: {"leg_mass": row}}) for name in "ab"]
+    assessed = TrustDocument.model_construct(parameters=[], stated=())
+    (found,) = compare_values(("a", "b"), sets, [assessed, assessed], [None, None])
+    assert found.differs is None
+    assert found.doubt == "its interval is a range of NRMSE, by which no difference is judged"
 
 
 def _write(folder, part, arrays=None, **content):
