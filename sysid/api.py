@@ -17,6 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, get_args
 
+import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from sysid.campaign import read_campaign
@@ -142,9 +143,7 @@ def load_log(path: str | Path, *, format: str = "auto", **options: object) -> Lo
     >>> log.to_frame().columns.tolist()
     ['command [us]', 'speed [rad/s]', 'thrust [N]', 'torque [N·m]']
     """
-    # numpy's numbers as well
-    plain = {name: getattr(value, "item", lambda value=value: value)() for name, value in options.items()}
-    return Log(**vars(load(path_of(path, "a log"), format=format, **plain)))
+    return Log(**vars(_loaded(path, format, options)))
 
 
 def inspect(path: str | Path, *, format: str = "auto", **options: object) -> LogReport:
@@ -159,7 +158,15 @@ def inspect(path: str | Path, *, format: str = "auto", **options: object) -> Log
     >>> round(report.drop.touchdown, 2)
     11.82
     """
-    return inspect_recording(load(path_of(path, "a log"), format=format, **options))
+    return inspect_recording(_loaded(path, format, options))
+
+
+def _loaded(path: str | Path, format: str, options: Mapping[str, object]) -> Recording:
+    """Return a recording; options may be numbers of numpy."""
+    plain = {
+        name: value.item() if isinstance(value, np.generic) else value for name, value in options.items()
+    }
+    return load(path_of(path, "a log"), format=format, **plain)
 
 
 class Judgement(Shown, Generic[Doc]):

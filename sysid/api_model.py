@@ -6,6 +6,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Collection, Mapping
+from numbers import Real
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -52,7 +53,7 @@ class Model:
         noise: Mapping[str, str | float] | None = None, weights: Mapping[str, float] | None = None,
         force: bool = False,
     ) -> Campaign:  # fmt: skip
-        """Write a campaign of trials, and return it; an existing one is replaced only with `force`.
+        """Write a campaign of trials, and return it; files of that name are replaced only with `force`.
 
         Parameters
         ----------
@@ -98,13 +99,14 @@ class Model:
         stated = {
             name: _quantity(value, self.content.channels[name]) for name, value in (noise or {}).items()
         }
-        weighted = {name: float(value) for name, value in (weights or {}).items()}
+        weighted = {name: _plain(value) for name, value in (weights or {}).items()}
         for table, values in (("cost.weights", weighted), ("noise", stated)):
             lines += [f"[{table}]"] if values else []
             lines += [f"{json.dumps(name)} = {json.dumps(value)}" for name, value in values.items()]
         for number, (name, recorded) in enumerate(trials.items(), start=1):
-            log = f"{number}-{re.sub(r'[^A-Za-z0-9._-]', '_', name)[:60]}.csv"
+            log = f"{number}-{re.sub(r'[^A-Za-z0-9._-]', '_', str(name))[:60]}.csv"
             if name in tables:
+                check_file(place / log, force=force, error_type=CampaignError)
                 write_file(place / log, tables[name].encode("utf-8"), CampaignError)
             else:
                 log = Path(os.path.relpath(path_of(recorded, "a log"), place)).as_posix()
@@ -118,7 +120,8 @@ class Model:
         """Return the inputs of a trial as a campaign states them."""
         known = self.content.inputs
         if unknown := [one for one in given if one not in known]:
-            refusal = f"trial {name!r}: {unknown[0]!r} is no input of {self.name}; it has {', '.join(known)}"
+            has = ", ".join(known) or "none"
+            refusal = f"trial {name!r}: {unknown[0]!r} is no input of {self.name}; it has {has}"
             raise CampaignError(refusal).also(KeyError)
         for one, value in given.items():
             if not isinstance(value, str) and known[one] != "1":
@@ -165,7 +168,8 @@ def model(
 
     ``simulate(values, time, trial)`` returns what the trial should have measured: an array (n, channels), or
     (n,) for one channel. `values` has a number for every parameter [SI], `time` (n,) are the log's instants
-    [s], and `trial` has the measured channels and the inputs by name. An exception, NaN, another shape and a
+    [s], and `trial` has the measured channels and the inputs by name; copy
+    them before you change them, for they are read-only. An exception, NaN, another shape and a
     simulation longer than `patience` [s] are counted failures; compiled code cannot be ended.
 
     Parameters
@@ -268,9 +272,14 @@ def _row(name: str, spec: Any) -> Parameter:
     )
 
 
-def _quantity(value: float | str, unit: str) -> str:
+def _plain(value: Any) -> Any:
+    """Return a number of Python for one of numpy; anything else as it is, which the campaign refuses."""
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _quantity(value: Any, unit: str) -> Any:
     """Return a quantity as a campaign states it; a bare number is in SI."""
-    return value if isinstance(value, str) else f"{float(value)!r} {unit}"
+    return f"{_plain(value)!r} {unit}" if isinstance(value, Real) else str(value)
 
 
 def _check_si(what: str, unit: str) -> None:

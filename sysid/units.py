@@ -114,7 +114,7 @@ def parse_quantity(text: str, expected: str) -> float:
         raise UnitError(f"{text!r} is not a number with a unit; expected for example '1 {expected}'")
     number, unit = match.groups()
     if unit[:1] == "," and unit[1:2].isdigit():
-        raise UnitError(f"{text!r} has a decimal comma; write '{text.strip().replace(',', '.')}'")
+        raise UnitError(f"{text!r} has a comma; write a point before decimals, and nothing between thousands")
     if not unit and expected != "1":
         # Nothing of a drone is as long as 10 m.
         long = expected == "m" and abs(float(number)) >= 10

@@ -98,12 +98,10 @@ def _misused(error: Any) -> str:
         # A number that pydantic refuses; the choices of a word are typer's own sentence.
         if wrong["type"] != "value_error":
             words = f"{max(error.param.opts, key=len)} {wrong['input']!r}: {mistake(wrong)}"
-    known = [one.name for one in app.registered_commands]
-    where = (
-        error.ctx.command_path
-        if error.ctx
-        else " ".join(["sysid", *(w for w in sys.argv[1:2] if w in known)])
-    )
+    asked = sys.argv[1:2]
+    if not any(asked == [one.name] for one in app.registered_commands):
+        asked = sys.argv[1:3] if any(asked == [one.name] for one in app.registered_groups) else []
+    where = error.ctx.command_path if error.ctx else " ".join(["sysid", *asked])
     return f"{words[0].lower()}{words[1:]}; {where} -h says more"
 
 

@@ -44,6 +44,8 @@ class CurveLog:
     provenance: dict[str, object]
     # Findings of the log's reader.
     notes: tuple[Finding, ...]
+    # Whether its commands were logged; else they are shares of its largest speed.
+    commanded: bool = True
 
     @property
     def name(self) -> str:
@@ -65,6 +67,7 @@ def _curve_log(
 ) -> CurveLog:
     """Return a log with its points: rows of an averaged log, or steady stretches of steps."""
     recording, second = read_log(campaign, path, static)
+    commanded = True
     if recording.kind == "static-map":
         points = _rows_as_points(campaign, recording, static.direction)
     else:
@@ -72,7 +75,8 @@ def _curve_log(
             name=Path(static.log).name, log=static.log, direction=static.direction,
             log_options=static.log_options, second_log=static.second_log,
         )  # fmt: skip
-        points = log_points(bench_log(campaign, path, entry))
+        log = bench_log(campaign, path, entry)
+        points, commanded = log_points(log), log.commanded
     if len(points) == 0:
         raise LogError(
             f"{recording.provenance.path}: no steady segment; hold each command for over {SETTLE:g} s, "
@@ -85,7 +89,7 @@ def _curve_log(
         **({} if second is None else {"second_log": second}),
         "notes": recording.provenance.sentences,
     }
-    return CurveLog(static, table, points, provenance, recording.provenance.notes)
+    return CurveLog(static, table, points, provenance, recording.provenance.notes, commanded)
 
 
 def _rows_as_points(campaign: MotorCampaign, recording: Recording, direction: Rotation) -> SteadyPoints:

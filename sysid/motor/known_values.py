@@ -47,8 +47,8 @@ NO_INDUCTANCE = (
 )
 # Factor between a stated value and the logs that only a wrong unit explains [1].
 _ABSURD = 10.0
-# Command from which the supply's current is the motor's [1], and the ratio of Kv to the largest one that this
-# current allows from which one of them is wrong [1].
+# Command from which the supply's current is the motor's [1], and the ratio of an exact Kv to the largest one
+# that this current allows from which one of them is wrong [1].
 _FULL, _KV_ABOVE = 0.99, 1.05
 # Largest relative error of a rating that agrees with the logged current [1].
 _SCALE_AGREES = 0.1
@@ -144,9 +144,9 @@ def prepare_bench(campaign: MotorCampaign, path: str | Path) -> Bench:
     values, measured, stated = _known_values(campaign, curves, reference, voltage_source, current)
     _check_ratings(campaign, fitted, curve_logs, values)
     points = SteadyPoints.join(list(curves.loaded.values()))
-    commanded = all(log.commanded for log in fitted)
+    commanded = all(log.commanded for log in fitted) and all(log.commanded for log in curve_logs)
     if campaign.motor.kv is not None and campaign.log.current == "supply" and commanded:
-        _check_kv_at_full_command(campaign.motor.kv, points)
+        _check_kv_at_full_command(campaign, points)
     slow = not any(log.fast for log in fitted) and campaign.log.current == "supply"
     power = None
     if slow and campaign.motor.kv is not None and curves.ties:
@@ -216,25 +216,29 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
         notice("odd-kv", f"{sentence}; check kv and reference_voltage")
 
 
-def _check_kv_at_full_command(kv: float, points: SteadyPoints) -> None:
-    """Notice a Kv [rad/s/V] that needs more current than the supply gives where its duty is 1.
+def _check_kv_at_full_command(campaign: MotorCampaign, points: SteadyPoints) -> None:
+    """Notice a Kv that needs more current than the supply gives at full command.
 
-    There the supply's current is the motor's, which makes the torque τ = I/Kv at most.
+    Where the controller's duty is 1, as it is at full command unless it is limited, the supply's current is
+    the motor's, which makes the torque τ = I/Kv at most. Friction and iron losses make it less.
     """
-    full = (np.abs(points.u) > _FULL) & (np.abs(points.torque) > 0) & np.isfinite(points.current)
-    if not full.any():
+    kv = campaign.motor.kv
+    full = (np.abs(points.u) > _FULL) & (np.abs(points.torque) > 0) & (np.abs(points.current) > 0)
+    if kv is None or not full.any():
         return
     current, torque = np.abs(points.current[full]), np.abs(points.torque[full])
-    first = int(np.argmin(current / torque))
-    most = float(current[first] / torque[first])
-    if kv > _KV_ABOVE * most:
+    middle = int(np.argsort(current / torque)[(len(torque) - 1) // 2])
+    most = float(current[middle] / torque[middle])
+    unsure = 2.0 * float(np.hypot(error_of(kv) / kv, campaign.log.calibration_error))
+    if kv > (_KV_ABOVE + unsure) * most:
         rpm = 30.0 / np.pi
         notice(
             "kv-above-current",
-            f"motor.kv: {rpm * kv:.4g} rpm/V would need {kv * torque[first]:.4g} A for the "
-            f"{torque[first]:.3g} N·m at full command, and the supply gave {current[first]:.4g} A, which "
+            f"motor.kv: {rpm * kv:.4g} rpm/V would need {kv * torque[middle]:.4g} A for the "
+            f"{torque[middle]:.3g} N·m at full command, and the supply gave {current[middle]:.4g} A, which "
             f"allows {rpm * most:.4g} rpm/V at most: measure Kv (speed over supply voltage without "
-            "propeller), or correct the current or the torque; R and L change as 1/Kv²",
+            "propeller), or correct the current, the torque, or a command.maximum below the controller's "
+            "full throttle; R and L change as 1/Kv²",
         )
 
 

@@ -113,7 +113,9 @@ def use_tile(use: Use | None) -> list[tuple[str, str]]:
     """Return how many numbers of use the bands hold, and how wide these are; nothing where none is known."""
     if use is None or not use.word:
         return []
-    return [(f"{use.held} of {use.count}", f"numbers of use predicted within 95 % of draws: {use.in_widths}")]
+    ends = f"; end right in {use.classes_right} of {use.classes}" if use.classes else ""
+    said = f"numbers of use predicted within 95 % of draws: {use.in_widths}{ends}"
+    return [(f"{use.held} of {use.count}", said)]
 
 
 def counts(rows: Collection[Judged] | None, command: str) -> tuple[str, str]:

@@ -304,7 +304,7 @@ def validation_table(name: str, document: ValidationDocument | CrossValidationDo
 
 def use_tables(document: ValidationDocument | CrossValidationDocument) -> list[Table]:
     """Return what of use is predicted, number by number and in total; none where nothing is."""
-    if document.use is None or not document.use.count:
+    if document.use is None or not document.use.count + document.use.classes:
         return []
     rows: list[tuple[str, NumberOfUse | ClassOfUse]]
     rows = [(trial.name, each) for trial in document.trials for each in trial.numbers]

@@ -21,7 +21,7 @@ What the words mean, on campaigns of `tests/benchmarks/use.py` (six drops or thr
 run, two predicted; samples: share of the held-out samples without noise inside the bands):
 
 ==============================  =============  ================  ===========  =======
-campaign                        fit / noise    word              held         samples
+campaign                        fit / noise    word              right        samples
 ==============================  =============  ================  ===========  =======
 right LF, seeds 1, 2, 3         1.01 to 1.07   predicts          29 of 30     99 %
 right LF, seed 4                1.09, roughly  does not predict  6 of 12      48 %

@@ -33,6 +33,11 @@ from sysid.trials.steady import steady_points, zero_of_steady
 from sysid.types import BoolArray, FloatArray
 from sysid.workflows.options import ReversalOptions
 
+
+class NoReversalError(LogError):
+    """A log in which nothing reverses, beside others a reason to leave it out."""
+
+
 # Stop-band edge of the low-pass of fast logs [Hz].
 _STOP_EDGE = 100.0
 # A log is filtered when it has this many samples per period of the stop-band edge.
@@ -125,7 +130,8 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     recording = load(path, units={"command": options.command_unit} if options.command_unit else None)
     where = recording.provenance.path
     if recording.kind == "static-map":
-        raise LogError(f"{where}: has averaged points, no transients; a reversal time needs a running log")
+        refusal = f"{where}: has averaged points, no transients; a reversal time needs a running log"
+        raise NoReversalError(refusal)
     recording = on_one_clock(recording, _NEEDED, _CLOCK_OF)
     command, thrust = recording["command"], recording["thrust"]
     u = command_range(options, command.unit, where).to_u(command.values, command.unit, where)
@@ -157,7 +163,7 @@ def log_reversals(path: str | Path, options: ReversalOptions | None = None) -> L
     kept = find_reversals(time, steps, forces, turns, skip=doubtful, sense=options.sense)
     if not kept:
         lowest, highest = float(np.min(steps.level)), float(np.max(steps.level))
-        raise LogError(
+        raise NoReversalError(
             f"{where}: no reversal that can be timed: commands run from u = {lowest:.3g} to {highest:.3g}, "
             f"and {len(everything)} reversals were lost to stalls of the logger; check --neutral and "
             "--sense, or record one"
@@ -230,19 +236,17 @@ def print_reversal_times(
 ) -> None:
     """Time the reversals of several logs by `log_reversals`, print them side by side, draw them as in Fig. 3.
 
-    Of several logs, those without a reversal are named and left out. Raises `SysidError` where none can be
-    timed, or one is not there; nothing is written then.
+    Of several logs, those without a reversal are named and left out. Raises `SysidError` where none has
+    one, or a log cannot be used; nothing is written then.
     """
     timed: list[LogReversals] = []
     used: list[Path] = []
-    refusals: list[LogError] = []
+    refusals: list[NoReversalError] = []
     for path in logs:
         try:
             timed.append(log_reversals(path, options))
             used.append(path)
-        except LogError as error:
-            if len(logs) == 1 or not path.exists():
-                raise
+        except NoReversalError as error:
             refusals.append(error)
     if not timed:
         raise refusals[0]

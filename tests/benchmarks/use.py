@@ -105,7 +105,7 @@ def main():
             widths = ", ".join(f"{each.what} {each.half_width:.2g} {each.unit}" for each in use.widths)
             parts = (
                 f"{seed:4} {judged.verdict:13} {judged.ratio:5.2f} x  {use.word or 'too few':16}",
-                f"{use.held:2} of {use.count:2}",
+                f"{use.held + use.classes_right:2} of {use.count + use.classes:2}",
                 f"classes {use.classes_right} of {use.classes}",
                 f"band {100 * share:5.1f} %",
                 widths,

@@ -7,7 +7,6 @@ selenium, and fails where they are missing.
 import base64
 import csv
 import json
-import shlex
 import shutil
 import time
 from importlib.resources import files
@@ -18,6 +17,7 @@ import pytest
 from fakes.hostile import VISIBLE
 from fakes.places import PUBLISHED, SAMPLES
 from fakes.reports import SHORT, short_fits
+from fakes.shells import words_of
 from sysid.landing.settings import MapSettings, StudySettings
 from sysid.workflows.compare import compare_and_print
 from sysid.workflows.fit import fit_campaign
@@ -249,7 +249,7 @@ def test_cells_are_read_by_mouse_keys_and_fingers(opened, run):
     ActionChains(driver).move_to_element_with_offset(canvas, *corner).click().perform()
     ActionChains(driver).move_to_element(find('do="copy')).perform()
     assert (find('is="x').text, find('is="y').text) == ("1.2 m/s", "5 deg")
-    words = shlex.split(find('is="command').text)
+    words = words_of(find('is="command').text)
     code, printed, _ = run(*words[1:], "--json")
     assert code == 0
     (landing,) = json.loads(printed)

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 
 from fakes.hostile import VISIBLE
 from fakes.published import table_1, table_2
+from fakes.shells import words_of
 from sysid.export import export
 from sysid.landing.outcomes import Outcome, Rules
 from sysid.workflows.map_pages import CellAxis, CellChart, explorer
@@ -37,7 +37,7 @@ def landed_as_said(chart, k, done):
     """Whether the command of a cell gives its class, distance and time."""
     n = len(chart["x"]["texts"])
     fields = [chart["x"]["texts"][k % n], chart["y"]["texts"][k // n], *(each[k] for each in chart["texts"])]
-    words = shlex.split("".join(fields[part] if isinstance(part, int) else part for part in chart["command"]))
+    words = words_of("".join(fields[part] if isinstance(part, int) else part for part in chart["command"]))
     (landing,) = json.loads(done(*words[1:], "--json")[0])
     assert landing["outcome"] == Outcome(int(chart["outcome"][0][k])).name.lower(), words
     if chart["distance"][0][k] is not None:

@@ -2,7 +2,6 @@
 
 import io
 import re
-import shlex
 import zipfile
 from itertools import pairwise
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 
 from fakes.log_files import notes, refuses
+from fakes.shells import words_of
 from sysid.errors import LogError, SysidError
 from sysid.loaders import load
 from sysid.workflows.inspect import inspect_files, parse_options
@@ -29,7 +29,7 @@ def told(path, capsys, **options):
         inspect_files([path], options=options)
     text = capsys.readouterr().out
     command = re.search(r"(?m)^ +(sysid inspect .*)$", text)
-    return text, shlex.split(command[1]) if command else []
+    return text, words_of(command[1]) if command else []
 
 
 def offered(words):
@@ -128,7 +128,7 @@ def test_a_log_that_is_read_without_its_speed_is_offered_with_it(write, capsys):
     inspect_files([path])
     text = capsys.readouterr().out
     assert "columns that are not read" in text
-    form, options = offered(shlex.split(re.search(r"(?m)^ +(sysid inspect .*)$", text)[1]))
+    form, options = offered(words_of(re.search(r"(?m)^ +(sysid inspect .*)$", text)[1]))
     assert load(path, format=form, **options)["speed"].values[1] == pytest.approx(40 * np.pi / 30)
 
 

@@ -97,7 +97,7 @@ def test_every_way_to_write_an_error_means_the_same(value, error, sign, gap, uni
     ("1.242 kg ± 1 ± 2 g", "kg", "'1.242 kg ± 1 ± 2 g' states two errors"),
     ("1.242 kg ± 1 g exact", "kg", "'1.242 kg ± 1 g exact' states two errors"),
     # A comma is no point, and no zero.
-    ("1.242 kg ± 0,002 kg", "kg", "the error in '1.242 kg ± 0,002 kg': '0,002 kg' has a decimal comma"),
+    ("1.242 kg ± 0,002 kg", "kg", "the error in '1.242 kg ± 0,002 kg': '0,002 kg' has a comma"),
     ("1.242 kg ± 0 mm", "kg", "unit 'mm' is not a 'kg'"),
     ("1.242 kg ± 1e999 g", "kg", "is not finite; write one standard deviation"),
     # A share of nothing, and a share that might be one of the value or one of 1.

@@ -97,7 +97,7 @@ def test_quantities():
     ("1.242", "kg", "has no unit; expected for example '1.242 kg'"),
     ("105", "m", "has no unit; expected for example '105 mm'"),
     ("heavy", "kg", "is not a number with a unit"),
-    ("1,242 kg", "kg", "has a decimal comma; write '1.242 kg'"),
+    ("1,242 kg", "kg", "has a comma; write a point before decimals"),
     ("1 kgg", "kg", "unknown unit 'kgg'"),
     ("1 g", "N", "did you mean 'gf', the weight of that mass"),
     ("1 N", "kg", "unit 'N' is not a 'kg'"),

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from fakes.lag_kind import SIGMA, write_lag
+from fakes.shells import words_of
 from sysid.api import load_fit
 from sysid.errors import SysidWarning
 from sysid.trust import influence
@@ -52,8 +53,9 @@ def test_no_trial_is_to_be_dropped_before_the_terms_were_tried(fit, monkeypatch)
 def test_commands_to_run_next_quote_a_path_with_a_space(fit, capsys):
     print_fit(fit().result, Path("my fits/ü"), False)
     printed = capsys.readouterr().out
-    assert "  sysid report 'my fits/ü' " in printed
-    assert "  sysid explain 'my fits/ü' " in printed
+    for verb in ("report", "explain"):
+        line = next(line for line in printed.splitlines() if f"sysid {verb} " in line)
+        assert words_of(line)[:3] == ["sysid", verb, str(Path("my fits/ü"))]
 
 
 @pytest.mark.parametrize("bad", [1, None])
