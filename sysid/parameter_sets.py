@@ -370,9 +370,14 @@ class SetsContent:
     @property
     def judged(self) -> dict[str, Judged]:
         """Interval and verdict by parameter, where they were found."""
-        keys = Judged.model_fields
+        keys, alone = Judged.model_fields, self.settings.get(NOT_ALONE, ())
         rows = self.settings.get(INTERVALS, {}).items()
-        return {name: Judged(**{key: row[key] for key in keys if key in row}) for name, row in rows}
+        # Digits and ends of a parameter that rests on a guessed scale are the guess's.
+        guessed = {"verdict": "not_identifiable", "open_95": (True, True)}
+        return {
+            name: Judged(**{key: row[key] for key in keys if key in row} | (guessed if name in alone else {}))
+            for name, row in rows
+        }
 
     @property
     def counted(self) -> BoolArray:
@@ -426,7 +431,6 @@ class SetsContent:
         out = {}
         for i, record in enumerate(self.parameters):
             row = judged.get(record.name)
-            # A parameter that rests on a guessed scale has no digits but the guess's.
             instead = "not identifiable" if record.name in alone else row.in_place_of_digits if row else None
             if row is None and record.name in unassessed:
                 instead = instead or "not assessed"

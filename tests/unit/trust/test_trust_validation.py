@@ -11,7 +11,7 @@ from sysid import exact_json
 from sysid.errors import FitError, SysidWarning
 from sysid.fit.adequacy import UNSEARCHED
 from sysid.fit.trial import Trial
-from sysid.parameter_sets import INTERVALS, ParameterRecord, ParameterSets
+from sysid.parameter_sets import INTERVALS, NOT_ALONE, ParameterRecord, ParameterSets
 from sysid.trust.comparison import compare_values, unjudged
 from sysid.trust.documents import (
     FreeParameter,
@@ -215,6 +215,17 @@ def test_a_range_that_is_no_interval_judges_nothing_and_is_called_so():
     (found,) = compare_values(("a", "b"), sets, [assessed, assessed], [None, None])
     assert found.differs is None
     assert found.doubt == "its interval is a range of NRMSE, by which no difference is judged"
+
+
+def test_an_interval_under_a_guessed_scale_is_no_interval():
+    row = {"interval_95": [0.9, 1.1], "open_95": [False, False], "verdict": "well"}
+    sets = replace(_sets("a", 1.0), settings={INTERVALS: {"leg_mass": row}})
+    known = sets.judged["leg_mass"]
+    assert (known.words, known.interval) == ("well identifiable", "0.9 to 1.1")
+    guessed = replace(sets, settings={**sets.settings, NOT_ALONE: ["leg_mass"]})
+    known = guessed.judged["leg_mass"]
+    assert (known.words, known.interval) == ("not identifiable", "open")
+    assert guessed.known["leg_mass"].text() == "—"
 
 
 def _write(folder, part, arrays=None, **content):
