@@ -2,16 +2,22 @@
 
 import math
 import re
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from fakes.lab import MOTOR_LAB, misstated, scaled
 from fakes.motor_bench import bench_of, edited, problem_of
+from fakes.places import SAMPLES
 from sysid.campaign import read_campaign
 from sysid.errors import CampaignError, LogError
+from sysid.motor import known_values
+from sysid.motor.known_values import _check_kv_at_full_command
 from sysid.motor.model import PARAMETERS, thrust
 from sysid.synthetic.motor import TrialPlan, synthesize_motor
+from sysid.trials.steady import SteadyPoints
 from sysid.workflows.check import check_campaign
 
 SHORT = (
@@ -50,6 +56,45 @@ def row_of(problem, **values):
 def signals(problem, **values):
     """Predicted torque and speed of the first trial."""
     return problem.predict(row_of(problem, **values)).signals[0][0]
+
+
+@pytest.mark.parametrize(
+    ("command", "current", "accused"),
+    [
+        # The torque of the current at Kv 960 rpm/V less 2 % of friction; then that of 1150 rpm/V.
+        (1.0, 1.02, False),
+        (1.0, 0.83, True),
+        # At a duty below 1 the supply gives less than the motor has; a sensor that is off gives nothing.
+        (0.9, 0.83, False),
+        (1.0, 0.0, False),
+        # Within the errors of Kv and cell.
+        (1.0, 0.93, False),
+    ],
+)
+def test_a_kv_is_held_against_the_current_at_full_command(path, recwarn, command, current, accused):
+    campaign, torque = read_campaign(path), np.array([-0.07, 0.09, 0.092])
+    currents = np.array([0.0, *2 * [current]]) * np.abs(torque) * float(campaign.motor.kv)
+    unknown, none = np.full(3, np.nan), np.zeros(3, dtype=np.int64)
+    points = SteadyPoints(
+        np.array([-0.8, command, command]), unknown, unknown, torque, unknown, currents, none, none, none
+    )
+    recwarn.clear()
+    _check_kv_at_full_command(campaign, points)
+    assert [("rpm/V at most" in str(one.message)) for one in recwarn] == [True] * accused
+
+
+@pytest.mark.parametrize("commanded", [True, False])
+def test_without_commands_no_current_is_held_against_a_kv(tmp_path, monkeypatch, recwarn, commanded):
+    """Where no command is logged, the largest speed of a log counts as full command, at any duty."""
+    path = shutil.copytree(SAMPLES / "motor", tmp_path / "motor") / "campaign.toml"
+    path = edited(path, ("^kv = .*", 'kv = "1150 rpm/V"'))
+    read = known_values.read_curve_logs
+    monkeypatch.setattr(
+        known_values, "read_curve_logs",
+        lambda *given: tuple(replace(log, commanded=commanded) for log in read(*given)),
+    )  # fmt: skip
+    bench_of(path)
+    assert any("rpm/V at most" in str(one.message) for one in recwarn) is commanded
 
 
 def test_what_was_measured_moves(path):
