@@ -163,10 +163,13 @@ def inspect(path: str | Path, *, format: str = "auto", **options: object) -> Log
 
 def _loaded(path: str | Path, format: str, options: Mapping[str, object]) -> Recording:
     """Return a recording; options may be numbers of numpy."""
-    plain = {
-        name: value.item() if isinstance(value, np.generic) else value for name, value in options.items()
-    }
-    return load(path_of(path, "a log"), format=format, **plain)
+    given = {name: plain(value) for name, value in options.items()}
+    return load(path_of(path, "a log"), format=format, **given)
+
+
+def plain(value: object) -> Any:
+    """Return a number of numpy as one of Python, and anything else as it is."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 class Judgement(Shown, Generic[Doc]):
@@ -591,7 +594,7 @@ def _fitted(given: Mapping[str, Any]) -> Fit:
         raise CampaignError(f"law = {law!r:.60}: expected a mapping such as {{'surface': 'hf'}}").also(
             TypeError
         )
-    if isinstance(limit, int | float) and not limit > 0:
+    if isinstance(limit, Real) and not float(limit) > 0:
         raise CampaignError(f"time_limit = {limit!r}: expected a time above 0, in s").also(ValueError)
     if given["resume"] and out is None:
         raise FitError("resume = True: no folder was kept to go on with; name it as out").also(ValueError)

@@ -34,7 +34,7 @@ from sysid.report.landing_figures import figure_impulse, figure_of_file
 from sysid.resume import Computing
 from sysid.shown import Shown
 from sysid.storage import check_file, path_of
-from sysid.units import parse_quantity
+from sysid.units import in_si
 from sysid.workflows.draws import sets_or_draws
 from sysid.workflows.landing import controller_of, land_drone
 from sysid.workflows.landing_maps import controlled_maps, impulsive_maps
@@ -92,7 +92,13 @@ def numbers_for(sets: Sets, target: str, *, rank: int = 1, mass: Quantity | None
 
     Notes
     -----
-    See `sysid.export.numbers.numbers_for` for what an interval combines.
+    An interval combines independent contributions: each judged parameter and each static curve at the ends
+    of its own 95 % interval (both coefficients of a curve together), the calibration of the load cells for
+    thrust and for torque, and the scatter of steady speeds under one command. A parameter whose interval is
+    open counts up to the bound of the search. The inertia is taken as it stands in the set, and so is Kv
+    beside the intervals of R and L, which contain its stated error. Where the steady speed is no line of the
+    command, its levels count as they were measured, with the supply that sags under their load. Where the
+    model does not explain the logs, time constants come from the steps in the logs, if the fit states them.
 
     Examples
     --------
@@ -104,7 +110,7 @@ def numbers_for(sets: Sets, target: str, *, rank: int = 1, mass: Quantity | None
     >>> numbers.check
     'at maxRotVelocity, 749.8 rad/s, one rotor gives 6.747 N and 0.09277 N·m; ...'
     """
-    kilograms = parse_quantity(mass, "kg") if isinstance(mass, str) else mass
+    kilograms = None if mass is None else in_si(mass, "kg")
     return motor_numbers(sets_of(sets), target, rank=rank, mass=kilograms)
 
 

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sysid.api import Campaign
+from sysid.api import Campaign, plain
 from sysid.errors import CampaignError, UnitError
 from sysid.own import OwnModel
 from sysid.parameters import Parameter, ParameterTable
 from sysid.storage import check_file, path_of, write_file
 from sysid.types import FloatArray
-from sysid.units import factor_to_si, parse_quantity
+from sysid.units import factor_to_si, in_si
 from sysid.workflows.kinds import register
 
 Spec = tuple[float, float, str] | tuple[float, float, str, str]
@@ -99,7 +99,7 @@ class Model:
         stated = {
             name: _quantity(value, self.content.channels[name]) for name, value in (noise or {}).items()
         }
-        weighted = {name: _plain(value) for name, value in (weights or {}).items()}
+        weighted = {name: plain(value) for name, value in (weights or {}).items()}
         for table, values in (("cost.weights", weighted), ("noise", stated)):
             lines += [f"[{table}]"] if values else []
             lines += [f"{json.dumps(name)} = {json.dumps(value)}" for name, value in values.items()]
@@ -168,8 +168,8 @@ def model(
 
     ``simulate(values, time, trial)`` returns what the trial should have measured: an array (n, channels), or
     (n,) for one channel. `values` has a number for every parameter [SI], `time` (n,) are the log's instants
-    [s], and `trial` has the measured channels and the inputs by name; copy
-    them before you change them, for they are read-only. An exception, NaN, another shape and a
+    [s], and `trial` has the measured channels and the inputs by name. Both are
+    read-only: copy what you change. An exception, NaN, another shape and a
     simulation longer than `patience` [s] are counted failures; compiled code cannot be ended.
 
     Parameters
@@ -233,7 +233,7 @@ def model(
     chosen = [_row(one, spec) for one, spec in given.items()]
     marks = {one: spec[3] for one, spec in given.items() if len(spec) == 4}
     terms = tuple(one for one, mark in marks.items() if mark == "term")
-    seconds = parse_quantity(patience, "s") if isinstance(patience, str) else float(patience)
+    seconds = float(in_si(patience, "s"))
     if not seconds > 0:
         raise CampaignError(f"patience = {patience!r}: expected a time above 0, in s").also(ValueError)
     if both := [one for one in channels if one in (inputs or {})]:
@@ -272,14 +272,9 @@ def _row(name: str, spec: Any) -> Parameter:
     )
 
 
-def _plain(value: Any) -> Any:
-    """Return a number of Python for one of numpy; anything else as it is, which the campaign refuses."""
-    return value.item() if isinstance(value, np.generic) else value
-
-
 def _quantity(value: Any, unit: str) -> Any:
     """Return a quantity as a campaign states it; a bare number is in SI."""
-    return f"{_plain(value)!r} {unit}" if isinstance(value, Real) else str(value)
+    return f"{plain(value)!r} {unit}" if isinstance(value, Real) else str(value)
 
 
 def _check_si(what: str, unit: str) -> None:

@@ -28,7 +28,7 @@ from sysid.parameters import Parameter, SearchSpace, with_unit
 from sysid.shown import Shown
 from sysid.storage import path_of
 from sysid.types import BoolArray, FloatArray
-from sysid.units import parse_quantity
+from sysid.units import in_si
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -641,11 +641,10 @@ class ParameterSets(SetsContent, Shown):
         """
         # A writer stands above the sets that it writes.
         write = resolve_name("sysid.workflows.export_models:export_sets")
-        tilt = parse_quantity(slope, "rad") if isinstance(slope, str) else slope
-        kilograms = parse_quantity(mass, "kg") if isinstance(mass, str) else mass
         files: list[Path] = write(
-            self, path_of(path, "the new file"), force, rank=rank, slope=tilt, per_leg=per_leg, mass=kilograms
-        )
+            self, path_of(path, "the new file"), force, rank=rank, slope=in_si(slope, "rad"), per_leg=per_leg,
+            mass=None if mass is None else in_si(mass, "kg"),
+        )  # fmt: skip
         return files
 
     def _head(self) -> dict[str, Any]:

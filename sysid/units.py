@@ -100,6 +100,11 @@ def factor_to_si(unit: str, expected: str = "") -> float:
     return float(base.magnitude)
 
 
+def in_si(value: float | str, unit: str) -> float:
+    """Return a number in SI as it is, and a text with a unit in SI, see `parse_quantity`."""
+    return parse_quantity(value, unit) if isinstance(value, str) else value
+
+
 def parse_quantity(text: str, expected: str) -> float:
     """Return the SI value of a quantity written as ``"1.242 kg"``; a pure number where ``"1"`` is expected.
 

@@ -95,8 +95,8 @@ def check(
     """Say before a fit what the trials will determine.
 
     Judges every log, names what excites the model, and says what to record next. The exit code is 3 where the
-    logs contradict the campaign: no verdict is given then. It is 2 where a log cannot be used at all, as
-    where a foot is below the surface before the drop falls.
+    logs contradict the campaign: no verdict is given then. It is 2 where a log cannot be used at all, for
+    example where a foot lies below the surface before the drop falls.
     """
     from sysid.report.trust_tables import print_check
     from sysid.workflows.check import check_campaign

@@ -280,17 +280,8 @@ def numbers_for(
 ) -> TargetNumbers:
     """Return the numbers of the set of a `rank` of a motor; the `mass` [kg] is of a drone with four such.
 
-    ExportError when the target is unknown, the sets are no motor's, or they give none of its numbers.
-
-    Notes
-    -----
-    An interval combines independent contributions: each judged parameter and each static curve at the ends
-    of its own 95 % interval (both coefficients of a curve together), the calibration of the load cells for
-    thrust and for torque, and the scatter of steady speeds under one command. A parameter whose interval is
-    open counts up to the bound of the search. The inertia is taken as it stands in the set, and so is Kv
-    beside the intervals of R and L, which contain its stated error. Where the steady speed is no line of the
-    command, its levels count as they were measured, with the supply that sags under their load. Where the
-    model does not explain the logs, time constants come from the steps in the logs, if the fit states them.
+    ExportError when the target is unknown, the sets are no motor's, or they give none of its numbers. See
+    `sysid.numbers_for`.
     """
     form = TARGETS.get(target)
     if form is None:

@@ -94,8 +94,8 @@ class Displacements:
             others[self.spanned] = False
             rest = difference[axes] - moved[axes][:, others] @ out[others]
             rest[lost[axes]] = 0.0
-            # This is what `lstsq` computes, which takes many times as long for so many right-hand sides. A
-            # pseudo-inverse multiplies the factors first and loses digits.
+            # `lstsq` computes the same, and takes many times as long for so many right-hand sides. A
+            # pseudo-inverse would multiply the factors first and lose digits.
             left, sizes, right = np.linalg.svd(moved[axes][:, self.spanned], full_matrices=False)
             seen = sizes > 1e-12 * sizes.max()
             out[self.spanned] = (right[seen].T / sizes[seen]) @ (left[:, seen].T @ rest)

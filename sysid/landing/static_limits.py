@@ -58,8 +58,6 @@ How = Literal["slides", "tips", "stays"]
 VERTICAL = math.pi / 2
 # Difference between neighbouring slopes in the one simulation that sets a drone down on every slope [rad].
 _PUT = math.radians(0.5)
-# Speed below which a landing is at rest [m/s].
-_CREEP = 0.05
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class RigidLimits:
 
     slide: float
     tip: float
-    creep: float  # slope of creep at 0.05 m/s on a surface that never sticks; elsewhere `slide`
+    creep: float  # slope of creep at `Rules.rest_speed` on a surface that never sticks; elsewhere `slide`
 
     @property
     def first(self) -> StaticLimit:
@@ -128,7 +126,7 @@ def rigid_limits(
     static = kinetic + values[law.reads[1]] if law.switching else kinetic
     creep = slide = slide_limit(static, ratio)
     if not law.switching and "slip_regularization" in law.reads:
-        share = _CREEP / (_CREEP + values["slip_regularization"])
+        share = Rules.rest_speed / (Rules.rest_speed + values["slip_regularization"])
         creep = slide_limit(kinetic * share, ratio)
     return RigidLimits(slide, tip_limit(distance, height, ratio, values["foot_dx"]), creep)
 

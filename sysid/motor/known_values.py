@@ -18,7 +18,7 @@ from sysid.motor.inertia import spike_inertia
 from sysid.motor.log_delays import with_log_delays
 from sysid.motor.model import FREE_DEFAULT, PARAMETERS
 from sysid.motor.parameters import LOAD_CELLS, parameters_of
-from sysid.motor.stand import lost_power
+from sysid.motor.stand import lost_power, rpm
 from sysid.motor.static_curves import MeasuredCurve, NoLoadTie, no_load_line, turns
 from sysid.motor.targets import PreparedTrial, prepare_run
 from sysid.parameters import SearchSpace
@@ -47,8 +47,8 @@ NO_INDUCTANCE = (
 )
 # Factor between a stated value and the logs that only a wrong unit explains [1].
 _ABSURD = 10.0
-# Command from which the supply's current is the motor's [1], and the ratio of an exact Kv to the largest one
-# that this current allows from which one of them is wrong [1].
+# Command from which the supply's current is the motor's [1], and the least ratio of an exact Kv to the
+# highest one that this current allows, at which Kv or current is wrong [1].
 _FULL, _KV_ABOVE = 0.99, 1.05
 # Largest relative error of a rating that agrees with the logged current [1].
 _SCALE_AGREES = 0.1
@@ -200,16 +200,17 @@ def _check_kv(kv: float, reference: float, curves: StaticCurves) -> None:
     what = "without" if bare else "with"
     ratio = kv * reference / top
     low, high = _KV_NO_LOAD if bare else _KV_LOADED
-    slip = 30.0 / np.pi
-    rpm = kv * slip
+    slip = rpm(1.0)
     sentence = (
-        f"motor.kv: {kv:.4g} rad/s/V ({rpm:.4g} rpm/V) at {reference:.3g} V would turn the unloaded motor at "
-        f"{kv * reference:.4g} rad/s, the logs {what} propeller show {top:.4g} rad/s at full command"
+        f"motor.kv: {kv:.4g} rad/s/V ({rpm(kv):.4g} rpm/V) at {reference:.3g} V would turn the unloaded "
+        f"motor at {kv * reference:.4g} rad/s, the logs {what} propeller show {top:.4g} rad/s at full command"
     )
     if low * slip <= ratio <= high * slip:
         raise CampaignError(f'{sentence}; {kv:.4g} looks like rpm/V: write kv = "{kv:.4g} rpm/V"')
     if low <= ratio * slip <= high:
-        raise CampaignError(f'{sentence}; {rpm:.4g} looks like rad/s/V: write kv = "{rpm:.4g} rad/s/V"')
+        raise CampaignError(
+            f'{sentence}; {rpm(kv):.4g} looks like rad/s/V: write kv = "{rpm(kv):.4g} rad/s/V"'
+        )
     if not low / _ABSURD <= ratio <= high * _ABSURD:
         raise CampaignError(f"{sentence}; correct kv or reference_voltage, and their units")
     if not low <= ratio <= high:
@@ -231,12 +232,11 @@ def _check_kv_at_full_command(campaign: MotorCampaign, points: SteadyPoints) -> 
     most = float(current[middle] / torque[middle])
     unsure = 2.0 * float(np.hypot(error_of(kv) / kv, campaign.log.calibration_error))
     if kv > (_KV_ABOVE + unsure) * most:
-        rpm = 30.0 / np.pi
         notice(
             "kv-above-current",
-            f"motor.kv: {rpm * kv:.4g} rpm/V would need {kv * torque[middle]:.4g} A for the "
+            f"motor.kv: {rpm(kv):.4g} rpm/V would need {kv * torque[middle]:.4g} A for the "
             f"{torque[middle]:.3g} N·m at full command, and the supply gave {current[middle]:.4g} A, which "
-            f"allows {rpm * most:.4g} rpm/V at most: measure Kv (speed over supply voltage without "
+            f"allows {rpm(most):.4g} rpm/V at most: measure Kv (speed over supply voltage without "
             "propeller), or correct the current, the torque, or a command.maximum below the controller's "
             "full throttle; R and L change as 1/Kv²",
         )

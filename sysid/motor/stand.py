@@ -127,8 +127,8 @@ class StandValues:
             yield (
                 f"lost power of {len(p.speeds)} steady levels: an apparent R of {1e3 * p.resistance:.3g} mΩ "
                 f"({low:.3g} to {high:.3g}) and {1e3 * p.friction_torque:.2g} mN·m of friction at Kv "
-                f"{_rpm(1 / p.torque_constant):.4g} rpm/V; supply current and torque are possible with a Kv "
-                f"of {_rpm(p.least_kv):.4g} rpm/V or more"
+                f"{rpm(1 / p.torque_constant):.4g} rpm/V; supply current and torque are possible with a Kv "
+                f"of {rpm(p.least_kv):.4g} rpm/V or more"
             )
 
     @property
@@ -180,8 +180,8 @@ class StandValues:
         p, each = self.power, self.power.apparent_resistances
         if p.least_kv * p.torque_constant > 1.0 + _KV_AGREES:
             sentence = (
-                f"the fit takes Kv as {_rpm(1 / p.torque_constant):.4g} rpm/V, but the logged supply current "
-                f"and torque are possible only with {_rpm(p.least_kv):.4g} rpm/V or more: measure Kv (speed "
+                f"the fit takes Kv as {rpm(1 / p.torque_constant):.4g} rpm/V, but the logged supply current "
+                f"and torque are possible only with {rpm(p.least_kv):.4g} rpm/V or more: measure Kv (speed "
                 "over supply voltage without propeller) and state it as motor.kv; R changes as 1/Kv²"
             )
             yield Finding("kv-below-current", sentence)
@@ -195,7 +195,8 @@ class StandValues:
             yield Finding("power-of-no-resistance", sentence)
 
 
-def _rpm(speed: float) -> float:
+def rpm(speed: float) -> float:
+    """Return a speed [rad/s] in rpm, or a Kv [rad/s/V] in rpm/V."""
     return 30.0 / np.pi * speed
 
 

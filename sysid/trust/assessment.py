@@ -195,7 +195,7 @@ def assess(
         if wider is not None and len(wider.space.free) > len(start):
             tell("all terms that the model may lack, fitted together")
             values = dict(zip(problem.space.names, problem.space.decode(linear.point).tolist(), strict=True))
-            # With all terms free the minimum near a fit is often not the least one.
+            # A search comes first: with all terms free the minimum near a fit is often not the least one.
             far = run_one(wider, SearchSettings(runs=1)).best_point
             far, _ = downhill(wider, np.stack([far, starting_point(problem, wider, values)]))
             others.append(linearize_widened(wider.exact, far))

@@ -35,7 +35,7 @@ from sysid.workflows.options import ReversalOptions
 
 
 class NoReversalError(LogError):
-    """A log in which nothing reverses, beside others a reason to leave it out."""
+    """A log without a reversal; among several logs it is left out."""
 
 
 # Stop-band edge of the low-pass of fast logs [Hz].
