@@ -50,6 +50,7 @@ from sysid.trust.documents import (
     ValidationDocument,
     with_intervals,
 )
+from sysid.units import in_si
 from sysid.workflows import fit as fits
 from sysid.workflows.check import check_campaign
 from sysid.workflows.compare import compare_fits
@@ -594,8 +595,8 @@ def _fitted(given: Mapping[str, Any]) -> Fit:
         raise CampaignError(f"law = {law!r:.60}: expected a mapping such as {{'surface': 'hf'}}").also(
             TypeError
         )
-    if isinstance(limit, Real) and not float(limit) > 0:
-        raise CampaignError(f"time_limit = {limit!r}: expected a time above 0, in s").also(ValueError)
+    if not isinstance(limit, str | None) and not in_si(limit, "s", "time_limit") > 0:
+        raise CampaignError(f"time_limit = {limit!r:.60}: expected a time above 0, in s").also(ValueError)
     if given["resume"] and out is None:
         raise FitError("resume = True: no folder was kept to go on with; name it as out").also(ValueError)
     kept = TemporaryDirectory(prefix="sysid-") if out is None else None

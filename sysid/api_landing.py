@@ -110,7 +110,7 @@ def numbers_for(sets: Sets, target: str, *, rank: int = 1, mass: Quantity | None
     >>> numbers.check
     'at maxRotVelocity, 749.8 rad/s, one rotor gives 6.747 N and 0.09277 N·m; ...'
     """
-    kilograms = None if mass is None else in_si(mass, "kg")
+    kilograms = None if mass is None else in_si(mass, "kg", "mass")
     return motor_numbers(sets_of(sets), target, rank=rank, mass=kilograms)
 
 

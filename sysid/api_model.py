@@ -78,7 +78,11 @@ class Model:
         if not isinstance(trials, Mapping) or not trials:
             refusal = CampaignError(f"trials: expected tables or files by name, found {trials!r:.60}")
             raise refusal.also(TypeError)
+        _check_mappings(inputs=inputs or {}, noise=noise or {}, weights=weights or {})
         validate = (validate,) if isinstance(validate, str) else validate
+        if not isinstance(validate, Collection):
+            refusal = CampaignError(f"validate {validate!r:.60}: expected names of trials")
+            raise refusal.also(TypeError)
         unknown = [name for name in (*validate, *(inputs or {})) if name not in trials]
         if unknown:
             raise CampaignError(f"no trial {unknown[0]!r}; there are {', '.join(trials)}").also(KeyError)
@@ -99,7 +103,7 @@ class Model:
         stated = {
             name: _quantity(value, self.content.channels[name]) for name, value in (noise or {}).items()
         }
-        weighted = {name: plain(value) for name, value in (weights or {}).items()}
+        weighted = {name: in_si(value, "1", f"weights: {name}") for name, value in (weights or {}).items()}
         for table, values in (("cost.weights", weighted), ("noise", stated)):
             lines += [f"[{table}]"] if values else []
             lines += [f"{json.dumps(name)} = {json.dumps(value)}" for name, value in values.items()]
@@ -118,6 +122,7 @@ class Model:
 
     def _inputs(self, name: str, given: Mapping[str, float | str]) -> dict[str, str]:
         """Return the inputs of a trial as a campaign states them."""
+        _check_mappings(**{f"inputs of trial {name!r}": given})
         known = self.content.inputs
         if unknown := [one for one in given if one not in known]:
             has = ", ".join(known) or "none"
@@ -210,10 +215,7 @@ def model(
     >>> sysid.explain(fit).document.parameters
     ['rest']
     """
-    mappings = {"parameters": parameters, "channels": channels, "inputs": inputs or {}}
-    for what, mapping in mappings.items():
-        if not isinstance(mapping, Mapping):
-            raise CampaignError(f"{what} {mapping!r:.60}: expected a mapping by name").also(TypeError)
+    _check_mappings(parameters=parameters, channels=channels, inputs=inputs or {})
     given = dict(parameters)
     if not isinstance(name, str) or not name.isidentifier() or name in ("gear", "motor"):
         raise CampaignError(f"name {name!r:.60}: expected one word other than gear and motor").also(
@@ -233,7 +235,7 @@ def model(
     chosen = [_row(one, spec) for one, spec in given.items()]
     marks = {one: spec[3] for one, spec in given.items() if len(spec) == 4}
     terms = tuple(one for one, mark in marks.items() if mark == "term")
-    seconds = float(in_si(patience, "s"))
+    seconds = in_si(patience, "s", "patience")
     if not seconds > 0:
         raise CampaignError(f"patience = {patience!r}: expected a time above 0, in s").also(ValueError)
     if both := [one for one in channels if one in (inputs or {})]:
@@ -247,6 +249,13 @@ def model(
     ))  # fmt: skip
 
 
+def _check_mappings(**given: object) -> None:
+    """Refuse what is no mapping."""
+    for what, mapping in given.items():
+        if not isinstance(mapping, Mapping):
+            raise CampaignError(f"{what} {mapping!r:.60}: expected a mapping by name").also(TypeError)
+
+
 def _row(name: str, spec: Any) -> Parameter:
     """Return a row of the parameter table; CampaignError where it is none."""
     expected = f"{name}: {spec!r:.80}; expected (lower, upper, 'unit'), such as (0.5, 2.0, 'm')"
@@ -256,7 +265,7 @@ def _row(name: str, spec: Any) -> Parameter:
         raise CampaignError(f"{name}: {spec[3]!r:.60}; expected 'term' or 'each trial'").also(ValueError)
     try:
         low, high = float(spec[0]), float(spec[1])
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise CampaignError(expected).also(TypeError) from None
     if isinstance(spec[0], str) or isinstance(spec[1], str) or not np.isfinite([low, high]).all():
         raise CampaignError(expected).also(ValueError)

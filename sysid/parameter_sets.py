@@ -642,8 +642,8 @@ class ParameterSets(SetsContent, Shown):
         # A writer stands above the sets that it writes.
         write = resolve_name("sysid.workflows.export_models:export_sets")
         files: list[Path] = write(
-            self, path_of(path, "the new file"), force, rank=rank, slope=in_si(slope, "rad"), per_leg=per_leg,
-            mass=None if mass is None else in_si(mass, "kg"),
+            self, path_of(path, "the new file"), force, rank=rank, per_leg=per_leg,
+            slope=in_si(slope, "rad", "slope"), mass=None if mass is None else in_si(mass, "kg", "mass"),
         )  # fmt: skip
         return files
 

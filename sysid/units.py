@@ -4,8 +4,10 @@ A thin shell over pint that adds the spellings of thrust stands and load cells a
 pint's errors into one sentence.
 """
 
+import math
 import re
 from functools import lru_cache
+from numbers import Real
 from tokenize import TokenError
 from typing import Any
 
@@ -100,9 +102,20 @@ def factor_to_si(unit: str, expected: str = "") -> float:
     return float(base.magnitude)
 
 
-def in_si(value: float | str, unit: str) -> float:
-    """Return a number in SI as it is, and a text with a unit in SI, see `parse_quantity`."""
-    return parse_quantity(value, unit) if isinstance(value, str) else value
+def in_si(value: float | str, unit: str, what: str = "a quantity") -> float:
+    """Return a number in SI as it is, and a text with a unit in SI, see `parse_quantity`.
+
+    UnitError, which says `what`, where the value is neither or not finite.
+    """
+    try:
+        number = parse_quantity(value, unit) if isinstance(value, str) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number) or isinstance(value, bool | bytes):
+        raise UnitError(
+            f"{what}: expected a number [{unit}] or a text such as '1 {unit}', found {value!r:.60}"
+        ).also(ValueError if isinstance(value, Real | str) else TypeError)
+    return number
 
 
 def parse_quantity(text: str, expected: str) -> float:

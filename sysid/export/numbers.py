@@ -283,10 +283,10 @@ def numbers_for(
     ExportError when the target is unknown, the sets are no motor's, or they give none of its numbers. See
     `sysid.numbers_for`.
     """
-    form = TARGETS.get(target)
+    form = TARGETS.get(str(target))
     if form is None:
-        raise ExportError(f"unknown target {target!r}; expected one of {', '.join(TARGETS)}")
-    if mass is not None and not 0 < mass < np.inf:
+        raise ExportError(f"unknown target {target!r:.60}; expected one of {', '.join(TARGETS)}")
+    if mass is not None and not mass > 0:
         raise ExportError(f"mass = {mass!r}: expected a number above 0, in kg").also(ValueError)
     if sets.kind != "motor":
         raise ExportError(f"{target} takes a motor's numbers; {sets.name} has {sets.kind} sets")

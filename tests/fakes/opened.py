@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from pydantic import BaseModel
 
 import sysid
@@ -99,6 +100,23 @@ def _fitted(**given):
     return sysid.fit_campaign(**{"campaign": Path("lag.toml"), "out": "fit", **LIMITS, **given})
 
 
+DECAY = {
+    "name": "decay", "simulate": lambda values, time, trial: np.exp(-values["rate"] * time), "inputs": {},
+    "parameters": {"rate": (0.1, 10, "1/s")}, "channels": {"level": "V"}, "patience": 60.0,
+    "vectorized": False,
+}  # fmt: skip
+DECAYS = {"one": pd.DataFrame({"level": np.exp(-np.arange(20) / 10)}, index=np.arange(20) / 10)}
+
+
+def _bounded(low, high, unit):
+    return sysid.model(**DECAY | {"parameters": {"rate": (low, high, unit)}})
+
+
+def _stated(level, weight, load):
+    one = sysid.model(**DECAY | {"inputs": {"load": "kg"}})
+    one.campaign(DECAYS, noise={"level": level}, weights={"level": weight}, inputs={"one": {"load": load}})
+
+
 # By name: a call, its arguments that are replaced one at a time, and the others.
 CALLS = {
     "load_log": (sysid.load_log, {"path": SAMPLES / "motor/forward-1.csv", "format": "auto"}),
@@ -126,6 +144,27 @@ CALLS = {
     "static_limits": (sysid.static_limits, {"sets": GEAR, "thrust": (0.0, 12.0)}),
     "set_values": (lambda rank: _sets(GEAR).set_values(rank), {"rank": 1}),
     "save": (lambda path: _sets(GEAR).save(path, force=True), {"path": "sets.json"}),
+    "numbers_for": (sysid.numbers_for, {"sets": MOTOR, "target": "gazebo", "rank": 1, "mass": "1.2 kg"}),
+    "model": (sysid.model, DECAY),
+    "bounds": (_bounded, {"low": 0.1, "high": 10.0, "unit": "1/s"}),
+    "Model.campaign": (
+        lambda **given: sysid.model(**DECAY).campaign(**given),
+        {
+            "trials": DECAYS, "inputs": {}, "validate": (), "noise": {}, "weights": {}, "folder": "own",
+            "force": True,
+        },
+    ),
+    "stated": (_stated, {"level": 0.01, "weight": 1.0, "load": "0.2 kg"}),
+    "compare": (
+        lambda other, cross: sysid.compare("fit", other, cross=cross), {"other": "fit", "cross": False}
+    ),
+    "cross_validate": (
+        sysid.cross_validate, {"fit": "fit", "campaign": None, "threads": 1, "progress": False}
+    ),
+    "explain": (sysid.explain, {"fit": "fit", "campaign": None, "threads": 1}),
+    "trial": (lambda name: sysid.load_fit("fit").trial(name), {"name": "one"}),
+    "draws": (lambda count: sysid.load_fit("fit").draws(count), {"count": 10}),
+    "report": (lambda **given: sysid.load_fit("fit").report(force=True, **given), {"out": "page.html"}),
 }  # fmt: skip
 ARGUMENTS = tuple((name, argument) for name, (_, given) in CALLS.items() for argument in given)
 
