@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -35,6 +36,9 @@ _MOST_EFFICIENT = 1.3
 _PER_WATT = (0.005, 1.0)
 # Least correlation of a propeller's thrust or torque with Ω² [1], and fewest rows that show it.
 _GROWS, _FEWEST = 0.9, 6
+# Changes over the range of command or speed that are none and that are steps [1], how many are looked at, and
+# the time in which every rotor follows half of a step [s].
+_SAME, _STEP, _STEPS, _SLOWEST = 0.01, 0.1, 2000, 3.0
 
 
 @dataclass
@@ -207,6 +211,32 @@ def _power_findings(channels: Mapping[str, Channel]) -> list[Finding]:
     return [Finding("implausible-power", sentence) for sentence in sentences]
 
 
+def _clock_findings(channels: Mapping[str, Channel]) -> list[Finding]:
+    """Return a warning where the speed follows steps of the command far more slowly than any rotor."""
+    command, speed = channels.get("command"), channels.get("speed")
+    if command is None or speed is None or command.values.size != speed.values.size:
+        return []
+    known = np.isfinite(command.values) & np.isfinite(speed.values)
+    time, u, turns = speed.time[known], command.values[known], speed.values[known]
+    if not u.size:
+        return []
+    changes = np.flatnonzero(np.abs(np.diff(u)) > _SAME * np.ptp(u))
+    halves = []
+    for start, end in pairwise([*changes[:_STEPS], u.size - 1]):
+        moved = np.abs(turns[start : end + 1] - turns[start])
+        half = int(np.argmax(moved > moved[-1] / 2))
+        # Fewer samples show no more than that the log is slow.
+        stepped = abs(u[start + 1] - u[start]) > _STEP * np.ptp(u) and moved[-1] > _STEP * np.ptp(turns)
+        if stepped and half >= _FEWEST:
+            halves.append(time[start + half] - time[start])
+    if not halves or (taken := float(np.median(halves))) < _SLOWEST:
+        return []
+    return [Finding("implausible-clock", (
+        f"after a step of the command the speed takes {taken:.2g} s for half of its way, and a rotor takes "
+        "0.01 to 1 s: correct the unit in the heading of the time column, or state units = {time = \"ms\"}"
+    ))]  # fmt: skip
+
+
 def _recording(
     source: Source, name: str, parse: Callable[[Source, BenchOptions], RawTable], options: BenchOptions
 ) -> Recording:
@@ -217,6 +247,7 @@ def _recording(
     if raw.loads is not None:
         channels |= _load_channels(source.path, raw, raw.loads, options)
     raw.notes += _power_findings(channels)
+    raw.notes += _clock_findings(channels) if raw.kind != "static-map" else []
     provenance = source.provenance(name, device=raw.device, options=options, notes=raw.notes)
     return Recording(raw.kind, channels, provenance)
 

@@ -219,35 +219,49 @@ def _named(curve_logs: Sequence[CurveLog], table: str, direction: Rotation) -> l
 
 
 def _check_propeller(direction: Rotation, curve_logs: Sequence[CurveLog], logs: Sequence[BenchLog]) -> None:
-    """Refuse a curve's log whose torque is not that of the trials' propeller, or of none under no_load."""
-    loads = _drags(direction, SteadyPoints.join([log_points(log) for log in logs])) if logs else np.zeros(0)
-    # A torque that shows nothing is refused elsewhere.
-    if not loads.size or not np.median(loads) > 0:
-        return
-    for table, least, most, word in (
-        ("static", _LEAST_LOADED, _MOST_LOADED, "with the propeller of the trials"),
-        ("no_load", -np.inf, _BARE, "without propeller"),
-    ):
-        for log in _named(curve_logs, table, direction):
-            seen = _drags(direction, log.points)
-            share = float(np.median(seen) / np.median(loads)) if seen.size else np.nan
-            if share < least or share > most:
-                other = "static" if table == "no_load" else "no_load" if share < _BARE else ""
-                step = f"name it under curves.{other}" if other else "name the log of the trials' propeller"
-                names = ", ".join(one.name for one in logs)
+    """Refuse a loaded log whose torque or thrust is not that of most, and a bare one with a propeller."""
+    static, bare = (_named(curve_logs, table, direction) for table in ("static", "no_load"))
+    loaded = [(log.where, log.name, log_points(log)) for log in logs]
+    loaded += [
+        (f"{log.entry.log}, named under curves.static, {direction}", log.entry.log, log.points)
+        for log in static
+    ]
+    for quantity in ("torque", "thrust"):
+        seen = [(where, name, _load(quantity, direction, points)) for where, name, points in loaded]
+        alike = {
+            load: [name for _, name, other in seen if _LEAST_LOADED <= other / load <= _MOST_LOADED]
+            for *_, load in seen
+            if load > 0
+        }
+        # A torque that shows nothing is refused elsewhere.
+        if not logs or not alike:
+            continue
+        usual = max(alike, key=lambda load: len(alike[load]))
+        said = f"that of {', '.join(alike[usual])} at the same speed; expected a log"
+        unit = f"or correct the unit of {quantity} or speed in one of these logs"
+        for where, name, load in seen:
+            if name not in alike[usual] and np.isfinite(load):
+                bared = quantity == "torque" and load < _BARE * usual and "curves.static" in where
+                step = "name it under curves.no_load" if bared else "name the log of that propeller"
                 raise LogError(
-                    f"{log.entry.log}, named under curves.{table}, {direction}: its torque is "
-                    f"{share:.2g} times that of {names} at the same speed; expected a log {word}: {step}, or "
-                    "correct the unit of torque or speed in one of these logs"
+                    f"{where}: its {quantity} is {load / usual:.3g} times {said} with the same propeller: "
+                    f"{step}, {unit}"
+                )
+        for log in bare if quantity == "torque" else []:
+            if (share := _load(quantity, direction, log.points) / usual) > _BARE:
+                raise LogError(
+                    f"{log.entry.log}, named under curves.no_load, {direction}: its torque is {share:.3g} "
+                    f"times {said} without propeller: name it under curves.static, {unit}"
                 )
 
 
-def _drags(direction: Rotation, points: SteadyPoints) -> FloatArray:
-    """Return τ/(Ω|Ω|) [N·m·s²] of the faster half of the steady points of a direction, where known."""
-    here = turns(points.speed, direction) & np.isfinite(points.torque)
-    speed, torque = points.speed[here], points.torque[here]
+def _load(quantity: str, direction: Rotation, points: SteadyPoints) -> float:
+    """Return the median of torque or thrust over Ω|Ω|, in SI, in the faster half of the points, or NaN."""
+    values = getattr(points, quantity)
+    here = turns(points.speed, direction) & np.isfinite(values)
+    speed, values = points.speed[here], values[here]
     fast = np.abs(speed) > 0.5 * np.max(np.abs(speed), initial=0.0)
-    return np.asarray(torque[fast] / (speed[fast] * np.abs(speed[fast])))
+    return float(np.median(values[fast] / (speed[fast] * np.abs(speed[fast])))) if fast.any() else np.nan
 
 
 def _loaded_points(

@@ -272,6 +272,30 @@ def test_a_rotor_without_a_propeller_is_no_wrong_unit(write):
     assert "check the unit" not in notes(stand_points(write, POINTS, bare))
 
 
+@pytest.mark.parametrize(("response", "unit", "levels", "found"), [
+    (0.04, "s", (0.3, 0.7, 0.4, 0.9), False),
+    (0.04, "ms", (0.3, 0.7, 0.4, 0.9), False),
+    (40.0, "s", (0.3, 0.7, 0.4, 0.9), True),  # ms under the heading of s
+    (1.0, "s", (0.3, 0.7, 0.4, 0.9), False),  # a large rotor
+    (0.04, "s", (0.9, *np.linspace(0.1, 0.9, 20)), False),  # a staircase
+])  # fmt: skip
+def test_a_rotor_that_takes_many_seconds_has_a_wrong_clock(write, response, unit, levels, found):
+    hold = 12.0 * response
+    lines, speed = [], 0.0
+    step = min(response / 8, 0.05) if response < 5 else response / 8
+    for number, level in enumerate(levels):
+        for k in range(round(hold / step)):
+            speed += (600.0 * level - speed) * (1.0 - np.exp(-step / response))
+            time = (number * hold + k * step) * (1000.0 if unit == "ms" else 1.0)
+            lines.append(f"{time:.4f},{1000 + 1000 * level:.0f},{speed:.3f},{1e-7 * speed**2:.6f}")
+    head = f"Time ({unit}),Command (us),Speed (rad/s),Mz (N·m)"
+    log = load(write("\n".join([head, *lines, ""]), "steps.csv"))
+    assert log.kind == "load-cell"
+    clocks = [n for n in log.provenance.notes if n.code == "implausible-clock"]
+    assert bool(clocks) == found
+    assert not found or re.search(r"takes 30 s for half of its way", clocks[0].sentence)
+
+
 def test_points_without_a_clock_are_points_where_the_command_differs(write):
     head, lines = POINTS.split(",", 1)[1], [row.split(",", 1)[1] for row in point_rows()]
     assert stand_points(write, head, lines).kind == "static-map"

@@ -302,6 +302,41 @@ def test_a_log_of_another_curve_is_refused(table, log, other, words, path):
         bench_of(path)
 
 
+@pytest.mark.parametrize(("column", "factor", "words"), [
+    (3, 101.97, r"its thrust is 0\.0098\d* times"),
+    (4, 1000.0, r"its torque is 0\.0009\d+ times"),
+    (2, 9.549, r"its torque is 9\d\.\d times"),
+])  # fmt: skip
+def test_a_trial_in_another_unit_than_the_static_curve_is_refused(column, factor, words, path):
+    log = path.with_name("forward-1.csv")
+    head, *lines = log.read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in lines]
+    for row in rows:
+        row[column] = f"{factor * float(row[column]):.5f}"
+    log.write_text("\n".join([head, *(",".join(row) for row in rows), ""]), encoding="utf-8")
+    with pytest.raises(LogError, match=rf"{words}.*of forward-1 at the same speed.*correct the unit of"):
+        bench_of(path)
+
+
+def test_the_trial_that_differs_from_curve_and_other_trials_is_named(tmp_path):
+    trials = (*SHORT, replace(SHORT[0], name="forward-2"))
+    path = synthesize_motor(tmp_path / "bench", seed=3, trials=trials) / "campaign.toml"
+    bench_of(path)
+    log = path.with_name("forward-2.csv")
+    head, *lines = log.read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in lines]
+    log.write_text(
+        "\n".join(
+            [head, *(",".join([*row[:3], f"{101.97 * float(row[3]):.2f}", row[4]]) for row in rows), ""]
+        ),
+        encoding="utf-8",
+    )
+    with pytest.raises(
+        LogError, match=r"trial 'forward-2': its thrust is 102 times that of forward-1, static"
+    ):
+        bench_of(path)
+
+
 def test_thrust_curves_are_drawn_with_the_error_of_the_load_cell(path):
     problem = problem_of(*bench_of(path))
     drawn = problem.unmoved
