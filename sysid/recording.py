@@ -47,7 +47,7 @@ class Channel:
     """One quantity over time."""
 
     name: str  # such as ``speed``, ``thrust``, ``F450/position``
-    unit: str  # SI, but a command keeps the unit of its protocol, ``us`` or ``dshot``
+    unit: str  # SI, but a command keeps the unit of its protocol, such as ``us``
     time: FloatArray  # (n,) strictly increasing, on the file's own clock [s]
     values: FloatArray  # (n,) or (n, k); NaN where the instrument delivered none
 

@@ -13,6 +13,8 @@ IntArray = NDArray[np.int64]
 # Which way a motor turns, and which way a bench trial does.
 Rotation = Literal["forward", "reverse"]
 Direction = Literal["forward", "reverse", "reversal"]
+# Units of a command: pulses, numbers of DShot, shares of full command, hundredths of it.
+CommandUnit = Literal["us", "dshot", "1", "%"]
 
 
 class Compiled(Protocol):

@@ -21,7 +21,7 @@ from sysid.campaign.common import (
 )
 from sysid.campaign.logs import BenchLogOptions, SecondLog, Unit
 from sysid.stated import without_error
-from sysid.types import Direction, Rotation
+from sysid.types import CommandUnit, Direction, Rotation
 
 Current = Annotated[float, stated_in("A"), Field(gt=0)]
 AngularSpeed = Annotated[float, stated_in("rad/s"), Field(gt=0)]
@@ -53,7 +53,7 @@ class MotorRatings(TomlTable):
 class CommandProtocol(TomlTable):
     """`[command]`: how a logged command becomes u in [-1, 1]."""
 
-    unit: Literal["us", "dshot", "1"]
+    unit: CommandUnit
     minimum: float | None = None
     maximum: float | None = None
     neutral: float | None = None
@@ -103,7 +103,7 @@ class Curves(TomlTable):
 class BenchLogs(BenchLogOptions):  # type: ignore[misc]
     """`[log]`: how the load-cell and thrust-stand files of the campaign are read."""
 
-    command_unit: Literal["us", "dshot"] | None = None
+    command_unit: CommandUnit | None = None
     force_unit: Unit | None = None
     torque_unit: Unit | None = None
     speed_unit: Unit | None = None

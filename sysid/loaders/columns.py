@@ -32,7 +32,7 @@ _ACCELERATION = {"g": "g_0", "G": "g_0"}
 
 _LONGEST_NAME = 160
 
-COMMAND_UNITS = {"us": "us", "µs": "us", "μs": "us", "dshot": "dshot", "1": "1", "-": "1", "": "1"}
+COMMAND_UNITS = {"us": "us", "µs": "us", "μs": "us", "dshot": "dshot", "1": "1", "-": "1", "": "1", "%": "%"}
 
 
 @dataclass(frozen=True)
@@ -205,12 +205,12 @@ class DeclaredUnits:
             ) from error
 
     def command(self, column: Column) -> str:
-        """Return the unit of a command, ``us``, ``dshot`` or ``1`` (a fraction); UnitError for others."""
+        """Return the unit of a command, see `sysid.types.CommandUnit`; UnitError for others."""
         unit = self.unit_of(column, "command")
         if unit is None or unit.casefold() not in COMMAND_UNITS:
             fault = "states no unit" if unit is None else f"has unit {unit!r}"
             raise UnitError(
-                f'{self.path}: command column "{column.label}" {fault}; expected us, dshot or 1, '
+                f'{self.path}: command column "{column.label}" {fault}; expected us, dshot, 1 or %, '
                 'declared for example as units = {command = "us"}'
             ).asking(units={column.label: "command"})
         return COMMAND_UNITS[unit.casefold()]

@@ -44,7 +44,7 @@ _UNITS: dict[str, tuple[tuple[float, str], ...]] = {
     "A": ((400.0, "A"), (np.inf, "mA")),
     "m": ((50.0, "m"), (np.inf, "mm")),
     "s": ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns")),
-    "command": ((1.0, "1"), (699.0, "dshot"), (2300.0, "us")),
+    "command": ((1.0, "1"), (100.0, "%"), (699.0, "dshot"), (2300.0, "us")),
 }
 # Most options that one log may lack; rows among which a column of words is told from one of numbers.
 _MOST_MISSING, _ROWS = 30, 200

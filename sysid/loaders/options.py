@@ -57,7 +57,7 @@ class Option:
 
 def known_unit(unit: object) -> object:
     """Return a unit that sysid knows; the unit of a command belongs to its protocol."""
-    if isinstance(unit, str) and unit not in ("us", "µs", "dshot", "DShot", "1"):
+    if isinstance(unit, str) and unit not in ("us", "µs", "dshot", "DShot", "1", "%"):
         try:
             factor_to_si(unit)
         except UnitError as error:

@@ -48,7 +48,7 @@ _LONGEST, _STEPS = 0.05, 3.0
 
 @dataclass(frozen=True)
 class CommandRange:
-    """Which logged numbers, in `unit` ("us" or "dshot"), mean full reverse, rest and full forward.
+    """Which logged numbers, in a `unit` such as "us", mean full reverse, rest and full forward.
 
     A controller of one direction has neutral = minimum. `forward_half` is the half of bidirectional DShot
     that turns forward: each half runs from slowest to fastest (48 to 1047, 1048 to 2047; below them the motor

@@ -26,10 +26,11 @@ _RECORDED = {
     "gear": ({"motion-capture"}, "drops under motion capture"),
     "motor": ({"thrust-stand", "load-cell", "static-map"}, "a motor on a thrust stand or load cell"),
 }
-# Commands of a usual speed controller [µs], and shares of the full one [1], such as a duty.
+# Commands of a usual speed controller [µs], and shares of the full one, such as a duty [1], [%].
 _RANGES = {
     "us": {"minimum": 1000, "neutral": 1500, "maximum": 2000},
     "1": {"minimum": -1, "neutral": 0, "maximum": 1},
+    "%": {"minimum": -100, "neutral": 0, "maximum": 100},
 }  # fmt: skip
 # Largest distance from rest, over that of full command [1], that a log of one direction keeps on the other
 # side.

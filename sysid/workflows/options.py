@@ -221,7 +221,9 @@ class ReversalOptions:
     DShot.
     """
 
-    command_unit: Annotated[str | None, Flag("Unit of the command, if not the log's: us, dshot or 1.")] = None
+    command_unit: Annotated[str | None, Flag("Unit of the command, if not the log's: us, dshot, 1 or %.")] = (
+        None
+    )
     minimum: Annotated[float | None, Flag("Command of full reverse, in that unit.")] = None
     neutral: Annotated[float | None, Flag("Command of rest, in that unit. Default for us: 1500.")] = None
     maximum: Annotated[float | None, Flag("Command of full forward, in that unit.")] = None

@@ -47,7 +47,7 @@ _NEEDED, _CLOCK_OF = ("command", "speed", "thrust"), ("thrust",)
 _NO_TARE = Tare(0.0, math.nan, 0, "assumed")
 # Minimum, neutral and maximum of a protocol where the user says nothing. Bidirectional DShot is no single
 # line over its numbers, so it has no default.
-_PROTOCOLS = {"us": (1000.0, 1500.0, 2000.0), "1": (-1.0, 0.0, 1.0)}
+_PROTOCOLS = {"us": (1000.0, 1500.0, 2000.0), "1": (-1.0, 0.0, 1.0), "%": (-100.0, 0.0, 100.0)}
 
 
 def command_range(options: ReversalOptions, unit: str, where: str) -> CommandRange:

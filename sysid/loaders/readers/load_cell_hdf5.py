@@ -3,7 +3,7 @@
 There is no common layout, so this one is ours; everything but Fz or Mz may be missing::
 
     /                  attributes: rate [Hz], start [s] (0 when absent), device (text)
-    /Command     (n,)  attribute unit = "us", "dshot" or "1"
+    /Command     (n,)  attribute unit = "us", "dshot", "1" or "%"
     /Speed       (n,)  attribute unit = "rad/s"
     /Fx ... /Fz  (n,)  attribute unit = "N"
     /Mx ... /Mz  (n,)  attribute unit = "N·m"

@@ -142,6 +142,10 @@ def _command_unit(
             f"{fault}as pulse widths in us do and DShot from rest does not; "
             f'{declare_unit("command", "us")} or {{command = "dshot"}} (in a campaign, log.command_unit)'
         ).asking(units={column.label: "command"})
+    if 0 < largest <= 100.0:
+        raise UnitError(f'{fault}as percent do; {declare_unit("command", "%")}, or "dshot"').asking(
+            units={column.label: "command"}
+        )
     notes.append(note("command-unit-assumed", "the command column states no unit: read as DShot 0 to 2047"))
     return "dshot"
 

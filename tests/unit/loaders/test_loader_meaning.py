@@ -88,14 +88,17 @@ def test_a_name_alone_makes_no_ampere(tmp_path):
 STAND = "Time (s),ESC signal,Thrust (N),Motor Optical Speed (RPM)\n"
 
 
-@pytest.mark.parametrize(("low", "high", "known"), [(1000, 1800, False), (0, 2047, True), (48, 1046, True)])
-def test_a_command_without_unit_is_dshot_only_where_no_pulse_width_looks_so(write, low, high, known):
+@pytest.mark.parametrize(("low", "high", "known"), [
+    (1000, 1800, False), (0, 2047, True), (48, 1046, True), (0, 100, False),
+])  # fmt: skip
+def test_a_command_without_unit_is_dshot_only_where_nothing_else_looks_so(write, low, high, known):
     path = write(STAND + row_lines(9, f"{{t}},{low},1,2") + row_lines(9, f"1{{t}},{high},1,2"))
     if known:
         assert load(path)["command"].unit == "dshot"
         return
-    refuses(path, f"runs from {low} to {high}, as pulse widths in us do", UnitError)
-    assert load(path, units={"command": "us"})["command"].unit == "us"
+    looks, unit = ("percent", "%") if high == 100 else ("pulse widths in us", "us")
+    refuses(path, f"runs from {low} to {high}, as {looks} do", UnitError)
+    assert load(path, units={"command": unit})["command"].unit == unit
 
 
 def arrivals(count=400):

@@ -85,7 +85,7 @@ def test_thrust_stand_refusals(write, content, message):
 
 @pytest.mark.parametrize(("content", "options", "message"), [
     (CELL.replace("Fz (N)", "Force (N)"), {}, 'no column "Fz" or "Mz"; found'),
-    (CELL.replace("(us)", "(V)"), {}, "has unit 'V'; expected us, dshot or 1"),
+    (CELL.replace("(us)", "(V)"), {}, "has unit 'V'; expected us, dshot, 1 or %"),
     (CELL, {"rate": 0}, "rate = 0 is no sample rate"),
     (CELL, {"rate": "fast"}, "rate = 'fast': 'fast' is not a number with a unit"),
     (CELL, {"rate": "3 s"}, "rate = '3 s': unit 's' is not a 'Hz'"),

@@ -29,7 +29,7 @@ def test_the_number_of_a_matrix_column_is_no_unit(tmp_path):
     path = tmp_path / "log.mat"
     savemat(path, {"Fs": 1000.0, "D": np.column_stack([1000 + RAMP, 2 * RAMP])})
     chosen = {"command": "D[1]", "thrust": "D[2]"}
-    no_unit, options = r'"D\[1\]" states no unit; expected us, dshot or 1', {"datasets": chosen}
+    no_unit, options = r'"D\[1\]" states no unit; expected us, dshot, 1 or %', {"datasets": chosen}
     refuses(path, no_unit, UnitError, units={"thrust": "N"}, **options)
     log = load(path, units={"thrust": "N", "command": "us"}, **options)
     assert log["command"].unit == "us"

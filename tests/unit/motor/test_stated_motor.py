@@ -302,6 +302,30 @@ def test_a_log_of_another_curve_is_refused(table, log, other, words, path):
         bench_of(path)
 
 
+def test_commands_in_percent_are_the_same_commands(tmp_path):
+    pulses = synthesize_motor(tmp_path / "bench", seed=3, trials=SHORT[:1]) / "campaign.toml"
+    shutil.copytree(pulses.parent, tmp_path / "percent")
+    for log in (tmp_path / "percent").glob("*.csv"):
+        head, *lines = log.read_text(encoding="utf-8-sig").splitlines()
+        rows = [line.split(",") for line in lines if line]
+        for row in rows:
+            row[1] = f"{(float(row[1]) - 1500) / 5:.9f}"
+        head = head.replace("Command (µs)", "Command (%)").replace("ESC signal (µs)", "ESC signal (%)")
+        log.write_text("\n".join([head, *(",".join(row) for row in rows), ""]), encoding="utf-8")
+    numbers = [("us", "%"), ("1000", "-100"), ("1500", "0"), ("2000", "100")]
+    names = ("unit", "minimum", "neutral", "maximum")
+    pairs = [
+        (f'^{key} = "?{a}"?', f'{key} = "{b}"' if key == "unit" else f"{key} = {b}")
+        for key, (a, b) in zip(names, numbers, strict=True)
+    ]
+    (_, there), (_, here) = (bench_of(edited(tmp_path / at / "campaign.toml", *edits, name="forward.toml"))
+                             for at, edits in (("percent", pairs), ("bench", [])))  # fmt: skip
+    assert there.fitted[0].log.recording["command"].unit == "%"
+    assert there.fitted[0].log.steps.level == pytest.approx(here.fitted[0].log.steps.level, abs=1e-9)
+    for one, other in zip(there.curves.fits, here.curves.fits, strict=True):
+        assert dict(one.parameters) == pytest.approx(dict(other.parameters), rel=1e-6)
+
+
 @pytest.mark.parametrize(("column", "factor", "words"), [
     (3, 101.97, r"its thrust is 0\.0098\d* times"),
     (4, 1000.0, r"its torque is 0\.0009\d+ times"),
