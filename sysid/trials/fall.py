@@ -111,7 +111,8 @@ def find_fall(motion: SpatialMotion, gravity: float, where: str, release: float 
         if first is None:
             raise LogError(
                 f"{where}: nothing falls in this log (largest downward acceleration "
-                f"{downward.max():.1f} m/s², expected {gravity:.2f}); check capture.up, the clock and the unit of length"
+                f"{downward.max():.1f} m/s², expected {gravity:.2f}); check capture.up, the clock "
+                "and the unit of length"
             )
         onset = first
     hold = hold_before(onset, half, motion.rate, height)
