@@ -221,27 +221,29 @@ def _named(curve_logs: Sequence[CurveLog], table: str, direction: Rotation) -> l
 def _check_propeller(direction: Rotation, curve_logs: Sequence[CurveLog], logs: Sequence[BenchLog]) -> None:
     """Refuse a loaded log whose torque or thrust is not that of most, and a bare one with a propeller."""
     static, bare = (_named(curve_logs, table, direction) for table in ("static", "no_load"))
+    curves = {log.entry.log: f"{log.entry.log}, named under curves.static, {direction}" for log in static}
     loaded = [(log.where, log.name, log_points(log)) for log in logs]
-    loaded += [
-        (f"{log.entry.log}, named under curves.static, {direction}", log.entry.log, log.points)
-        for log in static
-    ]
+    loaded += [(curves[log.entry.log], log.entry.log, log.points) for log in static]
     for quantity in ("torque", "thrust"):
-        seen = [(where, name, _load(quantity, direction, points)) for where, name, points in loaded]
+        # A trial whose torque shows nothing is refused elsewhere.
+        seen = [
+            (where, name, load)
+            for where, name, points in loaded
+            if (load := _load(quantity, direction, points)) > 0 or (name in curves and np.isfinite(load))
+        ]
         alike = {
             load: [name for _, name, other in seen if _LEAST_LOADED <= other / load <= _MOST_LOADED]
             for *_, load in seen
             if load > 0
         }
-        # A torque that shows nothing is refused elsewhere.
-        if not logs or not alike:
+        if not alike:
             continue
         usual = max(alike, key=lambda load: len(alike[load]))
         said = f"that of {', '.join(alike[usual])} at the same speed; expected a log"
         unit = f"or correct the unit of {quantity} or speed in one of these logs"
         for where, name, load in seen:
-            if name not in alike[usual] and np.isfinite(load):
-                bared = quantity == "torque" and load < _BARE * usual and "curves.static" in where
+            if name not in alike[usual]:
+                bared = quantity == "torque" and load < _BARE * usual and name in curves
                 step = "name it under curves.no_load" if bared else "name the log of that propeller"
                 raise LogError(
                     f"{where}: its {quantity} is {load / usual:.3g} times {said} with the same propeller: "

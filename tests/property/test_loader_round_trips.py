@@ -78,8 +78,8 @@ def stands(draw):
         "ESC signal": draw(st.sampled_from(["µs", None])),
     }
     values = {
-        # A command without a unit begins at rest: from 700 on it could be a pulse width.
-        "ESC signal": np.array([0, *(draw(st.integers(0, 2000)) for _ in time[1:])], dtype=float),
+        # A command without a unit begins at rest, from 700 on it could be a pulse width; up to 100, percent.
+        "ESC signal": np.array([0, *(draw(st.integers(101, 2000)) for _ in time[1:])], dtype=float),
         "Torque (N·m)": draw(columns(time.size)),
         "Thrust": draw(columns(time.size)),
         "Motor Optical Speed": draw(columns(time.size)),

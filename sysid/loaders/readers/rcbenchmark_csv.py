@@ -142,7 +142,7 @@ def _command_unit(
             f"{fault}as pulse widths in us do and DShot from rest does not; "
             f'{declare_unit("command", "us")} or {{command = "dshot"}} (in a campaign, log.command_unit)'
         ).asking(units={column.label: "command"})
-    if 0 < largest <= 100.0:
+    if 1.0 < largest <= 100.0:
         raise UnitError(f'{fault}as percent do; {declare_unit("command", "%")}, or "dshot"').asking(
             units={column.label: "command"}
         )
