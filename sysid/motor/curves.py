@@ -219,7 +219,10 @@ def _named(curve_logs: Sequence[CurveLog], table: str, direction: Rotation) -> l
 
 
 def _check_propeller(direction: Rotation, curve_logs: Sequence[CurveLog], logs: Sequence[BenchLog]) -> None:
-    """Refuse a loaded log whose torque or thrust is not that of most, and a bare one with a propeller."""
+    """Refuse a loaded log whose torque is not that of most, and a bare one with a propeller.
+
+    Thrust is not fitted to trials, so another thrust than that of most is a warning.
+    """
     static, bare = (_named(curve_logs, table, direction) for table in ("static", "no_load"))
     curves = {log.entry.log: f"{log.entry.log}, named under curves.static, {direction}" for log in static}
     loaded = [(log.where, log.name, log_points(log)) for log in logs]
@@ -239,21 +242,22 @@ def _check_propeller(direction: Rotation, curve_logs: Sequence[CurveLog], logs: 
         if not alike:
             continue
         usual = max(alike, key=lambda load: len(alike[load]))
-        said = f"that of {', '.join(alike[usual])} at the same speed; expected a log"
-        unit = f"or correct the unit of {quantity} or speed in one of these logs"
+        said = f"that of {', '.join(alike[usual])} at the same speed"
+        unit = f"correct the unit of {quantity} or speed in one of these logs"
         for where, name, load in seen:
             if name not in alike[usual]:
-                bared = quantity == "torque" and load < _BARE * usual and name in curves
+                seldom = f"{where}: its {quantity} is {load / usual:.3g} times {said}"
+                if quantity == "thrust":
+                    notice("implausible-power", f"{seldom}: {unit}")
+                    continue
+                bared = load < _BARE * usual and name in curves
                 step = "name it under curves.no_load" if bared else "name the log of that propeller"
-                raise LogError(
-                    f"{where}: its {quantity} is {load / usual:.3g} times {said} with the same propeller: "
-                    f"{step}, {unit}"
-                )
+                raise LogError(f"{seldom}; expected a log with the same propeller: {step}, or {unit}")
         for log in bare if quantity == "torque" else []:
             if (share := _load(quantity, direction, log.points) / usual) > _BARE:
                 raise LogError(
                     f"{log.entry.log}, named under curves.no_load, {direction}: its torque is {share:.3g} "
-                    f"times {said} without propeller: name it under curves.static, {unit}"
+                    f"times {said}; expected a log without propeller: name it under curves.static, or {unit}"
                 )
 
 
