@@ -3,7 +3,6 @@
 import json
 import re
 
-import llvmlite.binding
 import nbformat
 import numpy as np
 import pytest
@@ -73,11 +72,7 @@ def folder(tmp_path_factory):
     "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in ORDER]
 )
 def test_executed_again_a_notebook_shows_what_is_stored(folder, name):
-    wrong = differences(nbformat.read(STORED[name], as_version=4), execute(name, folder))
-    # The last digits of a step depend on the width of vectors, and the ends of weak parameters on them.
-    if wrong and name == "02-your-own-drops" and not llvmlite.binding.get_host_cpu_features().get("avx512f"):
-        pytest.skip("EXECUTED, NOT COMPARED: the stored numbers are of a processor with AVX-512")
-    assert wrong == []
+    assert differences(nbformat.read(STORED[name], as_version=4), execute(name, folder)) == []
 
 
 def test_a_difference_is_found():
