@@ -36,8 +36,8 @@ _MOST_EFFICIENT = 1.3
 _PER_WATT = (0.005, 1.0)
 # Least correlation of a propeller's thrust or torque with Ω² [1], and fewest rows that show it.
 _GROWS, _FEWEST = 0.9, 6
-# Changes over the range of command or speed that are none and that are steps [1], how many are looked at, and
-# the time in which every rotor follows half of a step [s].
+# Over the range of command or speed [1]: a change up to the first is none, one above the second is a step.
+# Largest number of changes that are looked at. Time in which every rotor follows half of a step [s].
 _SAME, _STEP, _STEPS, _SLOWEST = 0.01, 0.1, 2000, 3.0
 
 
@@ -225,7 +225,7 @@ def _clock_findings(channels: Mapping[str, Channel]) -> list[Finding]:
     for start, end in pairwise([*changes[:_STEPS], u.size - 1]):
         moved = np.abs(turns[start : end + 1] - turns[start])
         half = int(np.argmax(moved > moved[-1] / 2))
-        # Fewer samples show no more than that the log is slow.
+        # Fewer samples only show that the log is slow.
         stepped = abs(u[start + 1] - u[start]) > _STEP * np.ptp(u) and moved[-1] > _STEP * np.ptp(turns)
         if stepped and half >= _FEWEST:
             halves.append(time[start + half] - time[start])

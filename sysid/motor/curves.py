@@ -246,13 +246,13 @@ def _check_propeller(direction: Rotation, curve_logs: Sequence[CurveLog], logs: 
         unit = f"correct the unit of {quantity} or speed in one of these logs"
         for where, name, load in seen:
             if name not in alike[usual]:
-                seldom = f"{where}: its {quantity} is {load / usual:.3g} times {said}"
+                differs = f"{where}: its {quantity} is {load / usual:.3g} times {said}"
                 if quantity == "thrust":
-                    notice("implausible-power", f"{seldom}: {unit}")
+                    notice("implausible-power", f"{differs}: {unit}")
                     continue
                 bared = load < _BARE * usual and name in curves
                 step = "name it under curves.no_load" if bared else "name the log of that propeller"
-                raise LogError(f"{seldom}; expected a log with the same propeller: {step}, or {unit}")
+                raise LogError(f"{differs}; expected a log with the same propeller: {step}, or {unit}")
         for log in bare if quantity == "torque" else []:
             if (share := _load(quantity, direction, log.points) / usual) > _BARE:
                 raise LogError(
