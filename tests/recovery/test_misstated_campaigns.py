@@ -6,6 +6,7 @@ import subprocess
 import sys
 from functools import cache
 
+import numpy as np
 import pytest
 
 from fakes.foreign_gear import drawn_terms, simulator
@@ -194,17 +195,23 @@ def test_small_errors_of_true_values_change_nothing(campaign):
     # The drops know the geometry to a hundredth of a good lab's errors: these are a thousandth.
     size = {key: error.split() for key, error in GOOD_LAB.items()}
     small = {key: f"{float(number) / 1000:g} {unit}" for key, (number, unit) in size.items()}
-    results = {}
+    fits = []
     for name, options in (("small", {}), ("exact", {"exact": True})):
         path = misstated(campaign, 0, name=f"{name}.toml", errors=small)
-        results[name], trust = fitted(path, runs=5, **options)
+        result, trust = fitted(path, runs=5, **options)
+        fits.append((result.known, trust.by_name))
         assert trust.adequacy.verdict == "explained"
         # Five of five runs agree.
-        assert max(results[name].nrmse) < 1.0003 * min(results[name].nrmse)
-    for name, row in trust.by_name.items():
+        assert max(result.nrmse) < 1.0003 * min(result.nrmse)
+    (runs, rows), (exact_runs, exact_rows) = fits
+    for name, row in exact_rows.items():
         if row.low and row.high:
-            small, exact = (result.known[name].values[0] for result in results.values())
-            assert abs(small - exact) < 0.2 * (row.high - row.low) / 3.92
+            sigma = (row.high - row.low) / 3.92
+            # Measured: 0.02 standard deviations at most.
+            assert rows[name].interval_95 == pytest.approx(row.interval_95, rel=0, abs=0.05 * sigma)
+            # A single run ends in one of the dents of a rough cost, up to 0.3 standard deviations off.
+            difference = np.mean(runs[name].values) - np.mean(exact_runs[name].values)
+            assert abs(difference) < 0.25 * sigma
 
 
 @pytest.mark.parametrize(
@@ -284,6 +291,6 @@ def test_a_parameter_that_a_wrong_statement_bends_is_doubted(tmp_path):
     assert [row.name for row in trust.stated if row.contradicted] == ["leg_mass"]
     doubted = {name for name, row in trust.by_name.items() if row.doubt}
     assert all("without what is stated of leg_mass" in trust.by_name[name].doubt for name in doubted)
-    assert "leg_bending_stiffness" in doubted
+    assert doubted >= {"leg_bending_stiffness", "leg_bending_damping", "joint_dz"}
     assert not trust.by_name["leg_bending_stiffness"].contains(true["leg_bending_stiffness"])
     assert trust.by_name["leg_bending_stiffness"].verdict == "weakly"
