@@ -123,6 +123,17 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
             known=known, tolerance=linear.tolerance, iterations=_ITERATIONS,
         )  # fmt: skip
         evaluations += solved.evaluations
+        # A point that ends a side stands at its least cost: corrected derivatives may have led it into a dent.
+        inflation = info.inflation[[side.parameter for side in moving]]
+        late = np.flatnonzero(~solved.converged & ((solved.squares - lowest) / inflation > _ENOUGH))
+        if len(late):
+            more = solve(
+                problem, solved.points[late], scale, rise=linear.jacobian.rise, fixed=fixed[late],
+                tolerance=linear.tolerance, iterations=_ITERATIONS,
+            )  # fmt: skip
+            evaluations += more.evaluations
+            for name in ("points", "squares", "converged"):
+                getattr(solved, name)[late] = getattr(more, name)
         for f, side in enumerate(moving):
             i, side.derivatives = side.parameter, known[f]
             point, squares = solved.points[f], float(solved.squares[f])

@@ -96,9 +96,13 @@ def test_every_run_ends_where_the_truth_scores(fitted):
 @pytest.mark.slow
 def test_sets_agree_and_lie_near_the_truth(fitted):
     surface, (_, _, truth), result = fitted
-    assert assert_sets_agree(result) >= HELD[surface]
+    assert_sets_agree(result)
     found = result.parameter_sets()
-    # On high friction one run of five may end elsewhere.
+    # On high friction one run of five may end elsewhere, by which a finding then doubts what agrees in four.
+    agreeing = found.values if surface == "lf" else found.values[:4]
+    for name in HELD[surface]:
+        column = agreeing[:, found.names.index(name)]
+        assert np.ptp(column) <= 0.01 * column.mean(), name
     sets = found.values if surface == "lf" else found.values[:1]
     for name, error in NEAR[surface].items():
         assert sets[:, found.names.index(name)] == pytest.approx(np.full(len(sets), truth[name]), rel=error)

@@ -70,7 +70,7 @@ def test_a_gross_error_is_named(campaign, key):
 def test_a_load_cell_is_named_beyond_the_error_of_its_calibration(campaign, factor):
     for way in ("forward", "reverse"):
         scaled(campaign.with_name(f"static-{way}.csv"), "Torque", factor)
-    # The torque of a step is the static curve's and the rotor's: an inertia stated well tells two cells apart.
+    # The torque of a step is the static curve's and the rotor's: an inertia known well tells cells apart.
     errors = MOTOR_LAB | {"rotor_inertia": "20 %"}
     _, trust, _ = fitted(misstated(campaign, 4, name="cell.toml", errors=errors))
     assert trust.adequacy.verdict == "explained"
