@@ -123,7 +123,7 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
             known=known, tolerance=linear.tolerance, iterations=_ITERATIONS,
         )  # fmt: skip
         evaluations += solved.evaluations
-        # A point that ends a side stands at its least cost: corrected derivatives may have led it into a dent.
+        # A point that ends a side lies at its least cost: corrected derivatives may have led it into a dent.
         inflation = info.inflation[[side.parameter for side in moving]]
         late = np.flatnonzero(~solved.converged & ((solved.squares - lowest) / inflation > _ENOUGH))
         if len(late):
