@@ -8,8 +8,6 @@ from sysid.trust.documents import Expected
 
 # Relative 95 % half-widths that part the verdicts.
 WELL, WEAKLY = 0.1, 0.5
-# Half-width over the value from which on nothing is known of a parameter [1].
-UNKNOWN = 10.0
 # The last one: under a wrong model a bound cuts the parameter or a partner, so no interval can be read.
 VERDICTS = ("well", "weakly", "not_identifiable", "not_interpretable")
 
@@ -23,7 +21,7 @@ def verdict(half_width: float) -> str:
 
 def as_half_width(share: float) -> str:
     """Return a relative half-width as a person says it."""
-    if not np.isfinite(share) or share >= UNKNOWN:
+    if not np.isfinite(share) or share >= 10:
         return "more than its own size"
     return f"± {100 * share:.{2 if share < 1 else 3}g} %"
 

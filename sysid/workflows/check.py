@@ -22,7 +22,7 @@ from sysid.trust.sensitivity import (
     rank_candidates,
 )
 from sysid.trust.stated import better_measured
-from sysid.trust.verdicts import UNKNOWN, WEAKLY, WELL, as_half_width, sentences, verdict
+from sysid.trust.verdicts import WEAKLY, WELL, as_half_width, sentences, verdict
 from sysid.workflows.kinds import naming_campaign, open_campaign
 
 # Candidates that are named.
@@ -106,9 +106,9 @@ def _verdicts(
     """Return verdicts, the candidates, and what they say in sentences; `single` is what a candidate is."""
     shares = information_by_channel(problem, view)
     lines = list(sentences(expected))
-    # Derivatives that depend on the step make a verdict a guess, but not that nothing is known of a value.
+    # Derivatives that depend on the step make a verdict a guess, but not one far beyond the last limit.
     trusted = zip(expected, view.jacobian.trusted, strict=False)
-    rough = [row.symbol for row, good in trusted if not good and row.worse < UNKNOWN]
+    rough = [row.symbol for row, good in trusted if not good and row.worse < 2 * WEAKLY]
     if rough:
         lines.append(f"rough verdicts, because the derivatives depend on their step: {', '.join(rough)}")
     beyond: list[str] = []

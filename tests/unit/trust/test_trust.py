@@ -18,6 +18,7 @@ from sysid.trust.problem import jacobian, scales
 from sysid.trust.profiles import ends
 from sysid.trust.sensitivity import drawn_outlooks, expectations, rank_candidates
 from sysid.trust.verdicts import sentences, verdict
+from sysid.workflows.check import _verdicts
 
 
 def _space(n, scale="linear"):
@@ -204,6 +205,30 @@ def test_an_interval_that_a_bound_cuts_is_open_on_that_side_alone():
         assert profile.interval_95[0] == 0.0
 
 
+class Winding(Linear):
+    """The same in other coordinates: the second and the third wind around those before them."""
+
+    def residuals(self, cube):
+        p = self.space.decode(np.atleast_2d(cube))
+        wave = np.sin(10 * (p - 1))
+        straight = p - 0.3 * np.column_stack([np.zeros(len(p)), wave[:, 0], wave[:, 1]])
+        return super().residuals(self.space.encode(straight))
+
+
+@pytest.mark.parametrize("steep", [5.0, 20.0])
+def test_a_profile_follows_a_winding_valley(steep):
+    designs, data = _white(n=60, n_par=3, sigma=1.0)
+    steeper = [a * np.array([1.0, steep, steep])[:, None] for a in designs]
+    data = [y + (b - a)[:, :, 0].sum(axis=1)[:, None] for y, a, b in zip(data, designs, steeper, strict=True)]
+    intervals = []
+    for kind in (Linear, Winding):
+        found = assess(kind(steeper, data, noise=1.0), np.full(3, 0.5), resamples=0)
+        intervals.append(found.profiles.profiles[0].interval_95)
+    # The first coordinate is the same in both, so its interval is, too. It is less than half as wide where
+    # a fit that has not come to its end counts as an end of the interval.
+    assert intervals[1] == pytest.approx(intervals[0], abs=0.01)
+
+
 def test_a_rough_derivative_is_not_trusted():
     designs, data = _white()
     smooth = Linear(designs, data)
@@ -212,6 +237,19 @@ def test_a_rough_derivative_is_not_trusted():
     assert jacobian(smooth, point, smooth.scaled(), 0.01).trusted.all()
     # sin(40 p) with an amplitude of 0.02 changes the slope by 80 % within a step of 0.05 of the cube.
     assert not jacobian(rough, point, smooth.scaled(), 1.0).trusted.any()
+
+
+def test_only_a_verdict_that_could_be_another_one_is_called_rough():
+    designs, data = _white(n_par=2)
+    blind = [np.concatenate([a, np.zeros((len(a), 1, 1))], axis=1) for a in designs]
+    problem = Linear(blind, data)
+    view, expected = expectations(problem, np.full(3, 0.5), problem.correlation())
+    view = replace(view, jacobian=replace(view.jacobian, doubt=np.ones(3)))
+    (said,) = (
+        line for line in _verdicts(problem, view, expected, [], "drop")["sentences"] if "rough" in line
+    )
+    # That nothing is known of the third one stays true whatever its derivative.
+    assert said == "rough verdicts, because the derivatives depend on their step: p_0, p_1"
 
 
 def test_richardson_takes_the_cubic_error_away():
