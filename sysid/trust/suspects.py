@@ -247,8 +247,8 @@ def _freed(
 
     Rows (F + 1, n_table) [SI], the sum of squares of the first, and how many were simulated. The first set
     walks from what its values are in the fit and from what the trials ask for: a statement that has not let
-    go may lie beyond a ridge. From the better end the first set, whose values become advice, walks on with
-    new derivatives and without bounds of its values. So does any set of which a value comes to its bounds.
+    go may lie beyond a ridge. From the better end it walks on with new derivatives and without bounds of its
+    values where these are contradicted, because they become advice. So does a set with a value at its bounds.
     """
     space, stop = problem.space, problem.blocks[-1].stop
     places = {name: i for i, name in enumerate(space.stated)}
@@ -274,7 +274,8 @@ def _freed(
     least, out = float(min(solved.squares[-2], solved.squares[0])), space.full(points)
     at_bound = space.at_bound(points)
     for f, names in enumerate(sets):
-        if f == 0 or any(at_bound[f, space.names.index(name)] for name in names):
+        advised = f == 0 and any(row.contradicted for row in rows)
+        if advised or any(at_bound[f, space.names.index(name)] for name in names):
             out[f], squares, spent = _unstated(problem, linear, points[f], names)
             least, evaluations = squares if f == 0 else least, evaluations + spent
     return out, least, evaluations
