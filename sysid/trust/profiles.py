@@ -123,9 +123,9 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
             known=known, tolerance=linear.tolerance, iterations=_ITERATIONS,
         )  # fmt: skip
         evaluations += solved.evaluations
-        # A point that ends a side lies at its least cost: corrected derivatives may have led it into a dent.
+        # A point that ends an interval walks on: corrected derivatives may have led it into a dent.
         inflation = info.inflation[[side.parameter for side in moving]]
-        late = np.flatnonzero(~solved.converged & ((solved.squares - lowest) / inflation > _ENOUGH))
+        late = np.flatnonzero(~solved.converged & ((solved.squares - lowest) / inflation > CHI2[0.95]))
         if len(late):
             more = solve(
                 problem, solved.points[late], scale, rise=linear.jacobian.rise, fixed=fixed[late],

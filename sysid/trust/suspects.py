@@ -34,7 +34,8 @@ _AS_WELL = 6.0
 _OFF = 3.0
 # Share of the misfit from which on it does not fall.
 _NO_FALL = 0.99
-# Number of iterations of a fit without a statement, and of one that shows whether a mistake is worth a fit.
+# Number of iterations of a fit without a statement, which may walk on, and of one that shows whether a
+# mistake is worth a fit.
 _ITERATIONS, _FIRST = 15, 4
 # Largest sum of squares after `_FIRST` iterations with which a mistake is worth a whole fit, as a multiple
 # of the sum of squares of the fit as stated [1].
@@ -247,8 +248,8 @@ def _freed(
 
     Rows (F + 1, n_table) [SI], the sum of squares of the first, and how many were simulated. The first set
     walks from what its values are in the fit and from what the trials ask for: a statement that has not let
-    go may lie beyond a ridge. From the better end it walks on with new derivatives and without bounds of its
-    values where these are contradicted, because they become advice. So does a set with a value at its bounds.
+    go may lie beyond a ridge. Where its values are contradicted, they become advice: from the better end it
+    walks on with new derivatives and wide bounds of its values. So does a set with a value at its bounds.
     """
     space, stop = problem.space, problem.blocks[-1].stop
     places = {name: i for i, name in enumerate(space.stated)}

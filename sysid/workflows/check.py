@@ -106,9 +106,10 @@ def _verdicts(
     """Return verdicts, the candidates, and what they say in sentences; `single` is what a candidate is."""
     shares = information_by_channel(problem, view)
     lines = list(sentences(expected))
-    # Derivatives that depend on the step make a verdict a guess, but not one far beyond the last limit.
-    trusted = zip(expected, view.jacobian.trusted, strict=False)
-    rough = [row.symbol for row, good in trusted if not good and row.worse < 2 * WEAKLY]
+    # Derivatives that depend on the step make a verdict a guess, unless it stays beyond the last limit.
+    least = view.half_widths / (1.0 + view.jacobian.doubt)
+    rows = zip(expected, view.jacobian.trusted, least, strict=False)
+    rough = [row.symbol for row, good, width in rows if not good and width < WEAKLY]
     if rough:
         lines.append(f"rough verdicts, because the derivatives depend on their step: {', '.join(rough)}")
     beyond: list[str] = []

@@ -96,9 +96,10 @@ def test_every_run_ends_where_the_truth_scores(fitted):
 @pytest.mark.slow
 def test_sets_agree_and_lie_near_the_truth(fitted):
     surface, (_, _, truth), result = fitted
-    assert_sets_agree(result)
+    agreed = assert_sets_agree(result)
     found = result.parameter_sets()
-    # On high friction one run of five may end elsewhere, by which a finding then doubts what agrees in four.
+    # On high friction one run of five may end elsewhere. A finding then doubts what agrees in the other four.
+    assert surface == "hf" or agreed >= HELD["lf"]
     agreeing = found.values if surface == "lf" else found.values[:4]
     for name in HELD[surface]:
         column = agreeing[:, found.names.index(name)]

@@ -66,21 +66,22 @@ def test_a_gross_error_is_named(campaign, key):
         assert wrong.asked == pytest.approx(true, abs=3 * wrong.sigma)
 
 
-@pytest.mark.parametrize("factor", [1.015, 1.1])
-def test_a_load_cell_is_named_beyond_the_error_of_its_calibration(campaign, factor):
+@pytest.mark.parametrize(("factor", "inertia"), [(1.015, "5 %"), (1.1, "5 %"), (1.1, "20 %")])
+def test_a_load_cell_is_named_beyond_the_error_of_its_calibration(campaign, factor, inertia):
     for way in ("forward", "reverse"):
         scaled(campaign.with_name(f"static-{way}.csv"), "Torque", factor)
-    # The torque of a step is the static curve's and the rotor's: an inertia known well tells cells apart.
-    errors = MOTOR_LAB | {"rotor_inertia": "20 %"}
+    errors = MOTOR_LAB | {"rotor_inertia": inertia}
     _, trust, _ = fitted(misstated(campaign, 4, name="cell.toml", errors=errors))
     assert trust.adequacy.verdict == "explained"
     # Three standard deviations of 1 % are the most that no chance explains.
     wrong = [row for row in trust.stated if row.contradicted]
     assert len(wrong) == (factor > 1.03)
     for row in wrong:
-        # Torque cannot say which of the two load cells is off.
         cells = ["load_cell_factor_static", "load_cell_factor_trials"]
-        assert sorted([row.name, *row.partners]) == cells
+        named = sorted([row.name, *row.partners])
+        # The torque of a step is the static curve's and the rotor's. Only an inertia that is known well may
+        # say which of the two load cells is off.
+        assert named == cells or (inertia == "5 %" and named == cells[:1])
         asked = factor if row.name == cells[1] else 1 / factor
         assert row.asked == pytest.approx(asked, abs=2 * row.sigma)
     for name in ("winding_resistance", "winding_inductance"):
