@@ -121,9 +121,7 @@ def refit(
     if not len(left):
         return first
     more = walked(first.points[left], weights[left], 2 * _ITERATIONS)
-    for name in ("points", "squares", "converged"):
-        getattr(first, name)[left] = getattr(more, name)
-    return replace(first, evaluations=first.evaluations + more.evaluations)
+    return first.walked_on(left, more)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,10 @@ The fronts (points of profiles, resampled trials) walk as `sysid.fit.least_squar
 is too rough for derivatives is handed to CMA-ES around its point.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from sysid.fit.breeders.algorithms import breeder
 from sysid.fit.breeders.breeder import Start
 from sysid.fit.least_squares import Fronts, descend, drive
 from sysid.fit.problem import Problem
-from sysid.types import BoolArray, FloatArray
+from sysid.types import BoolArray, FloatArray, IntArray
 
 # Largest memory of the residuals at once [bytes].
 _MEMORY = 256e6
@@ -30,6 +32,12 @@ class Solved:
     squares: FloatArray  # (F,) sums of squares of the weighted residuals
     converged: BoolArray  # (F,) False where the last step still took more off than the tolerance
     evaluations: int  # points that were simulated
+
+    def walked_on(self, fronts: IntArray, more: Solved) -> Solved:
+        """Put in place where some fronts ended after they had walked on, and count what that took."""
+        for name in ("points", "squares", "converged"):
+            getattr(self, name)[fronts] = getattr(more, name)
+        return replace(self, evaluations=self.evaluations + more.evaluations)
 
 
 def solve(

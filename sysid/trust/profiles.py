@@ -122,8 +122,7 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
             problem, starts, scale, rise=linear.jacobian.rise, curvature=info.curvature, fixed=fixed,
             known=known, tolerance=linear.tolerance, iterations=_ITERATIONS,
         )  # fmt: skip
-        evaluations += solved.evaluations
-        # A point that ends an interval walks on: corrected derivatives may have led it into a dent.
+        # An unconverged point that ends an interval walks on: it may lie in a dent.
         inflation = info.inflation[[side.parameter for side in moving]]
         late = np.flatnonzero(~solved.converged & ((solved.squares - lowest) / inflation > CHI2[0.95]))
         if len(late):
@@ -131,9 +130,8 @@ def walk_profiles(problem: Problem, linear: Linearized, seed: int = 0) -> Profil
                 problem, solved.points[late], scale, rise=linear.jacobian.rise, fixed=fixed[late],
                 tolerance=linear.tolerance, iterations=_ITERATIONS,
             )  # fmt: skip
-            evaluations += more.evaluations
-            for name in ("points", "squares", "converged"):
-                getattr(solved, name)[late] = getattr(more, name)
+            solved = solved.walked_on(late, more)
+        evaluations += solved.evaluations
         for f, side in enumerate(moving):
             i, side.derivatives = side.parameter, known[f]
             point, squares = solved.points[f], float(solved.squares[f])
